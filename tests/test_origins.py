@@ -113,7 +113,7 @@ def test_more_columns_are_read_as_from_files(points, tmp_path):
 def test_columns_are_told_or_chosen(points, tmp_path):
     path = tmp_path / "table.csv"
     np.savetxt(path, np.hstack([points[:, :1] * 0, points]), delimiter=",", header="t,e,n,h", comments="")
-    with pytest.raises(ValueError, match="--columns x,y,z.* 2 `e`"):
+    with pytest.raises(ValueError, match="`columns` x,y,z.* 2 `e`"):
         snake_rs.read_points(path)
     for columns in (("e", "n", "h"), [2, 3, 4], (2, "n", 4)):
         assert np.allclose(snake_rs.read_points(path, columns=columns), points, atol=1e-6)

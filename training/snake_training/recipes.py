@@ -108,7 +108,7 @@ class ObjectStage(Stage):
             raise ValueError(f"unknown setting {min(of_the_run)!r}: the command line says where data and runs are")
         config = from_table(TrainConfig, settings)
         stage = from_table(cls, {key: table[key] for key in own & set(table)})
-        # Of a start the file is not there yet: that it is given is what the check asks.
+        # The start file is written by an earlier stage, so only check that one is named.
         check(replace(config, init=stage.init))
         return replace(stage, settings=config, given=tuple(name for name in NETWORK_SHAPE if name in settings))
 

@@ -108,9 +108,15 @@ impl InputArguments {
     /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.
     pub fn read_without_hint(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.contents(path, seed)?;
-        let Contents { cloud, unsampled_faces, .. } = &contents;
+        let Contents { cloud, unsampled_faces, dominant_face, .. } = &contents;
         if *unsampled_faces > 0 {
             Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
+        }
+        if let Some(share) = dominant_face {
+            let (name, percent) = (path.display(), 100.0 * share);
+            terminal::warn(&format!(
+                "{name}: one face holds {percent:.0} % of the mesh's surface, and so of the samples"
+            ));
         }
         Ok(contents)
     }

@@ -57,8 +57,8 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, by default that of a cloud for given values of options, with the options that follow from
-    /// those of `start`.
+    /// Loads the model of `--model`, or else the built-in model that suits `cloud`. `start` gives the options that `snake.toml`
+    /// then changes.
     pub fn load_model(
         &self,
         values: &Map<String, Value>,

@@ -127,7 +127,13 @@ pub fn print_to_stderr(report: &Report) {
 
 /// Prints a line to the standard error, with its topic in front.
 fn say(topic: impl Display, text: &str) {
-    print_to_stderr(&Report(format!("{topic} {}\n", printable(text))));
+    print_to_stderr(&Report(format!("{topic} {}\n", printable(&with_flags(text)))));
+}
+
+/// A text in which options of reading are named as flags. The libraries name them as options: `columns` 1,2,3.
+fn with_flags(text: &str) -> String {
+    let flags = [("`columns` ", "--columns "), ("`format` ", "--input-format "), ("`topic` ", "--topic ")];
+    flags.iter().fold(text.to_owned(), |text, (option, flag)| text.replace(option, flag))
 }
 
 /// Prints an error on one line, followed by the causes that its text does not contain.

@@ -6,7 +6,7 @@ use crate::format::PointFormat;
 use crate::formats::{pcd, ply, sweep};
 #[cfg(feature = "laz")]
 use crate::las;
-use crate::text::columns::{Column, Columns};
+use crate::table::Table;
 use crate::{Error, Result, text};
 use snake_geometry::RigidTransform;
 
@@ -22,15 +22,13 @@ pub struct Attributes {
     pub normals: Option<Vec<[f32; 3]>>,
 }
 
-/// The columns of a file under three names, as numbers in f64. `None` if it lacks one of them.
-type Named<'a> = &'a dyn Fn([&str; 3]) -> Option<Vec<[f64; 3]>>;
-
-const COLORS: [[&str; 3]; 4] =
-    [["red", "green", "blue"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"], ["R", "G", "B"]];
-const NORMALS: [[&str; 3]; 4] =
-    [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"], ["normalx", "normaly", "normalz"], ["Nx", "Ny", "Nz"]];
-const INTENSITIES: [&str; 6] =
-    ["intensity", "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance", "reflectivity"];
+const COLORS: [[&str; 3]; 3] =
+    [["red", "green", "blue"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"]];
+const NORMALS: [[&str; 3]; 3] =
+    [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"], ["normalx", "normaly", "normalz"]];
+const INTENSITIES: [[&str; 1]; 4] = [["intensity"], ["scalar_intensity"], ["reflectance"], ["reflectivity"]];
+/// Columns of PCD with a colour in the bits of a number.
+const PACKED: [[&str; 1]; 2] = [["rgb"], ["rgba"]];
 
 /// Reads the attributes of a file's points, in the order of the points. Files that cannot hold them have none, and what is
 /// damaged or has another number of values than there are points is left out.
@@ -42,18 +40,14 @@ const INTENSITIES: [&str; 6] =
 pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usize) -> Result<Attributes> {
     let format = format.map_or_else(|| PointFormat::from_path(path), Ok)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    let named = |table: std::result::Result<Table, String>| table.map(Attributes::named).unwrap_or_default();
     let attributes = match format {
-        PointFormat::Ply => Attributes::named(&|names| ply::columns(&bytes, names).ok()),
-        PointFormat::Pcd => {
-            let columns = |names: [&str; 3]| pcd::columns(&bytes, names).ok();
-            let packed = || columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]));
-            let named = Attributes::named(&columns);
-            Attributes { colors: named.colors.or_else(|| Some(unpacked(&packed()?))), ..named }
-        }
-        PointFormat::Text => Attributes::named(&|names| text_columns(&bytes, names)),
-        PointFormat::Kitti | PointFormat::Nuscenes | PointFormat::Sweep(_) => {
-            Attributes { intensity: sweep::intensity(&bytes, format), ..Attributes::default() }
-        }
+        PointFormat::Ply => named(ply::table(&bytes)),
+        PointFormat::Pcd => pcd::table(&bytes).map(|(table, _)| Attributes::packed(table)).unwrap_or_default(),
+        PointFormat::Text => named(text::table(&bytes)),
+        PointFormat::Kitti => named(sweep::table(&bytes, 4)),
+        PointFormat::Nuscenes => named(sweep::table(&bytes, 5)),
+        PointFormat::Sweep(num_values) => named(sweep::table(&bytes, num_values.into())),
         #[cfg(feature = "laz")]
         PointFormat::Las => scanned(las::intensities_and_colors(&bytes).unwrap_or_default()),
         _ => Attributes::default(),
@@ -61,15 +55,9 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
     Ok(attributes.for_points(num_points))
 }
 
-/// Three columns of text by name. For one name that stands for all three, its column is read beside two others.
-fn text_columns(bytes: &[u8], names: [&str; 3]) -> Option<Vec<[f64; 3]>> {
-    let read = |columns| text::read(bytes, Some(&Columns(columns))).ok().map(|shape| shape.points);
-    let [first, second, third] = names.map(|name| Column::Name(name.into()));
-    if names[0] != names[1] {
-        return read([first, second, third]);
-    }
-    let others = [[0, 1], [1, 2], [0, 2]].into_iter();
-    others.map(|pair| pair.map(Column::Index)).find_map(|[one, two]| read([first.clone(), one, two]))
+/// The first of these sets of columns that a table has.
+fn any<const N: usize>(table: &Table, sets: &[[&str; N]]) -> Option<Vec<[f64; N]>> {
+    sets.iter().find_map(|names| table.named(*names))
 }
 
 /// The intensities and colours of a laser scan. Writers without a sensor for one leave zeros.
@@ -80,22 +68,23 @@ fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
     Attributes { colors, intensity, normals: None }
 }
 
-/// Colours that stand in the lower bytes of a number.
-fn unpacked(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
-    rows.iter().map(|[bits, ..]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8)).collect()
-}
-
 impl Attributes {
-    /// The attributes of a file whose columns have names.
-    fn named(columns: Named) -> Self {
-        let any = |sets: &[[&str; 3]]| sets.iter().find_map(|names| columns(*names));
-        let colors = any(&COLORS).map(|rows| to_bytes(&rows));
-        let intensity = INTENSITIES.iter().find_map(|name| columns([name; 3]));
+    /// The attributes in the columns of a file.
+    fn named(table: Table) -> Self {
+        let floats = |row: &[f64; 3]| row.map(|value| value as f32);
         Self {
-            colors,
-            intensity: intensity.map(|rows| rows.iter().map(|row| row[0] as f32).collect()),
-            normals: any(&NORMALS).map(|rows| rows.iter().map(|row| row.map(|v| v as f32)).collect()),
+            colors: any(&table, &COLORS).map(|rows| to_bytes(&rows)),
+            intensity: any(&table, &INTENSITIES).map(|rows| rows.iter().map(|[value]| *value as f32).collect()),
+            normals: any(&table, &NORMALS).map(|rows| rows.iter().map(floats).collect()),
         }
+    }
+
+    /// [`Attributes::named`] with the colours of PCL, whose bytes are the bits of one number.
+    fn packed(table: Table) -> Self {
+        let unpacked = |[bits]: &[f64; 1]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8);
+        let packed: Option<Vec<[u8; 3]>> = any(&table, &PACKED).map(|rows| rows.iter().map(unpacked).collect());
+        let named = Self::named(table);
+        Self { colors: named.colors.or(packed), ..named }
     }
 
     /// Without those whose number of values is another.

@@ -7,20 +7,12 @@ use std::path::Path;
 use snake_geometry::{Cloud, Point, setters};
 
 use crate::arrays::npy;
-#[cfg(feature = "npz")]
-use crate::arrays::npz;
 use crate::crs::Crs;
 use crate::format::PointFormat;
-#[cfg(feature = "e57")]
-use crate::formats::e57;
-#[cfg(feature = "gltf")]
-use crate::formats::gltf;
-use crate::formats::shape::Shape;
-use crate::formats::{obj, off, pcd, ply, stl, sweep};
 #[cfg(feature = "laz")]
 use crate::las;
 use crate::text::columns::Columns;
-use crate::{Error, Result, text};
+use crate::{Error, Result};
 
 /// The first bytes of a file that gzip compressed.
 const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
@@ -51,6 +43,8 @@ pub struct Contents {
     pub cloud: Cloud,
     /// The number of faces that were ignored because the vertices were read and not samples of the surface.
     pub unsampled_faces: usize,
+    /// The share of the samples that one face of a mesh of many faces holds, if it is more than half.
+    pub dominant_face: Option<f64>,
     /// Where the sensor was, in the file's frame: the `VIEWPOINT` of a PCD file, unless it is zero, which writers put
     /// there when they do not know it.
     pub viewpoint: Option<[f64; 3]>,
@@ -113,7 +107,7 @@ pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnM
         return las::for_each_position(file, found).map_err(format_error);
     }
     let bytes = std::fs::read(path).map_err(io_error)?;
-    let shape = read_shape(&bytes, format, options).map_err(format_error)?;
+    let shape = format.read(&bytes, options.columns.as_ref(), options.sample.is_some()).map_err(format_error)?;
     match options.sample {
         Some(number) => shape.sample(number, options.seed).map_err(format_error)?.points.into_iter().for_each(found),
         None => shape.points.into_iter().for_each(found),
@@ -142,7 +136,7 @@ fn parse(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::resul
     parse_as(bytes, format, options).map_err(|reason| match PointFormat::from_content(bytes) {
         Some(other) if other != format => {
             let name = other.name();
-            format!("{reason}; the content is {name}: rename the file, or --input-format {}", name.to_lowercase())
+            format!("{reason}; the content is {name}: rename the file, or `format` {}", name.to_lowercase())
         }
         _ if bytes.starts_with(GZIP_MAGIC) => format!("{reason}; the content is compressed: gunzip FILE"),
         _ => reason,
@@ -159,55 +153,17 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
     #[cfg(not(feature = "laz"))]
     let crs = None;
     crs.iter().try_for_each(Crs::check_lengths)?;
-    let shape = read_shape(bytes, format, options)?;
-    let viewpoint = if format == PointFormat::Pcd { pcd::viewpoint(bytes) } else { None };
-    let (cloud, unsampled_faces) = match options.sample {
-        Some(number) => (shape.sample(number, options.seed)?.into_cloud(), 0),
+    let shape = format.read(bytes, options.columns.as_ref(), options.sample.is_some())?;
+    let viewpoint = shape.viewpoint;
+    let (shape, unsampled_faces) = match options.sample {
+        Some(number) => (shape.sample(number, options.seed)?, 0),
         None => {
             let num_faces = shape.num_faces();
-            (shape.into_cloud(), num_faces)
+            (shape, num_faces)
         }
     };
-    Ok(Contents { cloud, unsampled_faces, viewpoint, crs })
-}
-
-fn read_shape(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::result::Result<Shape, String> {
-    let columns = options.columns.as_ref();
-    match format {
-        PointFormat::Text => text::read(bytes, columns),
-        PointFormat::Pts => text::read_counted(bytes, columns),
-        PointFormat::Npy => npy::read(bytes, columns),
-        #[cfg(feature = "npz")]
-        PointFormat::Npz => npz::read(bytes, columns),
-        #[cfg(not(feature = "npz"))]
-        PointFormat::Npz => Err("this build cannot read .npz: it lacks the feature `npz` of snake-io".into()),
-        _ if columns.is_some() => {
-            Err("columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into())
-        }
-        // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
-        PointFormat::Ply => ply::read(bytes, options.sample.is_some()),
-        PointFormat::Pcd => pcd::read(bytes),
-        PointFormat::Obj => obj::read(bytes),
-        PointFormat::Off => off::read(bytes),
-        PointFormat::Stl => stl::read(bytes),
-        #[cfg(feature = "e57")]
-        PointFormat::E57 => e57::read(bytes),
-        #[cfg(not(feature = "e57"))]
-        PointFormat::E57 => Err("this build cannot read .e57: it lacks the feature `e57` of snake-io".into()),
-        #[cfg(feature = "gltf")]
-        PointFormat::Gltf => gltf::read(bytes),
-        #[cfg(not(feature = "gltf"))]
-        PointFormat::Gltf => {
-            Err("this build cannot read .gltf and .glb: it lacks the feature `gltf` of snake-io".into())
-        }
-        PointFormat::Kitti => sweep::read_checked(bytes, 4),
-        PointFormat::Nuscenes => sweep::read_checked(bytes, 5),
-        PointFormat::Sweep(values) => sweep::read(bytes, values.into()),
-        #[cfg(feature = "laz")]
-        PointFormat::Las => las::read(bytes),
-        #[cfg(not(feature = "laz"))]
-        PointFormat::Las => Err("this build cannot read .las and .laz: it lacks the feature `laz` of snake-io".into()),
-    }
+    let dominant_face = shape.dominant_face;
+    Ok(Contents { cloud: shape.into_cloud(), unsampled_faces, dominant_face, viewpoint, crs })
 }
 
 /// Reads clouds with equal numbers of points from an `.npy` array `(S, N, C)`, `C >= 3`, of floats or integers.

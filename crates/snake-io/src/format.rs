@@ -1,14 +1,124 @@
 //! The file formats with their names, extensions and signatures.
 
 use std::path::Path;
+use std::sync::LazyLock;
 
 use serde::Deserialize;
 
 use crate::arrays::npy;
-use crate::{Error, Result};
+#[cfg(feature = "npz")]
+use crate::arrays::npz;
+#[cfg(feature = "e57")]
+use crate::formats::e57;
+#[cfg(feature = "gltf")]
+use crate::formats::gltf;
+use crate::formats::{obj, off, pcd, ply, stl, sweep};
+#[cfg(feature = "laz")]
+use crate::las;
+use crate::table::shape::Shape;
+use crate::text::columns::Columns;
+use crate::{Error, Result, text};
 
-/// The first bytes of a zip archive.
-const NPZ_MAGIC: &[u8] = b"PK\x03\x04";
+/// How files of a format are named, recognised and read.
+struct Format {
+    format: PointFormat,
+    /// The name in messages. Formats without extensions are chosen by it.
+    name: &'static str,
+    extensions: &'static [&'static str],
+    /// The first bytes of a file.
+    signatures: &'static [&'static [u8]],
+    read: Read,
+}
+
+/// Reads the points, in chosen columns, and the faces if they are wanted.
+type Read = fn(&[u8], Option<&Columns>, bool) -> std::result::Result<Shape, String>;
+
+/// A reader that a feature of the crate brings.
+macro_rules! with_feature {
+    ($feature:literal, $read:expr) => {{
+        #[cfg(feature = $feature)]
+        const READ: Read = $read;
+        #[cfg(not(feature = $feature))]
+        const READ: Read = |_, _, _| {
+            Err(concat!("this build cannot read it: it lacks the feature `", $feature, "` of snake-io").into())
+        };
+        READ
+    }};
+}
+
+const fn row(
+    format: PointFormat,
+    name: &'static str,
+    extensions: &'static [&'static str],
+    signatures: &'static [&'static [u8]],
+    read: Read,
+) -> Format {
+    Format { format, name, extensions, signatures, read }
+}
+
+/// All formats that clouds are read from, but [`PointFormat::Sweep`].
+#[rustfmt::skip]
+const FORMATS: &[Format] = &[
+    // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
+    row(PointFormat::Ply, "PLY", &["ply"], &[b"ply\n", b"ply\r"], |bytes, _, faces| ply::read(bytes, faces)),
+    row(PointFormat::Pcd, "PCD", &["pcd"], &[b"# .PCD", b"VERSION", b"FIELDS"], |bytes, _, _| pcd::read(bytes)),
+    row(PointFormat::Text, "text", &["xyz", "txt", "csv", "asc", "xyzn", "xyzrgb", "xyzi"], &[],
+        |bytes, columns, _| text::read(bytes, columns)),
+    row(PointFormat::Pts, "PTS", &["pts"], &[], |bytes, columns, _| text::read_counted(bytes, columns)),
+    row(PointFormat::Npy, "NPY", &["npy"], &[npy::MAGIC], |bytes, columns, _| npy::read(bytes, columns)),
+    row(PointFormat::Npz, "NPZ", &["npz"], &[b"PK\x03\x04"],
+        with_feature!("npz", |bytes, columns, _| npz::read(bytes, columns))),
+    row(PointFormat::Obj, "OBJ", &["obj"], &[], |bytes, _, _| obj::read(bytes)),
+    row(PointFormat::Off, "OFF", &["off"], &[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"],
+        |bytes, _, _| off::read(bytes)),
+    row(PointFormat::Stl, "STL", &["stl"], &[b"solid "], |bytes, _, _| stl::read(bytes)),
+    row(PointFormat::Las, "LAS", &["las", "laz"], &[b"LASF"], with_feature!("laz", |bytes, _, _| las::read(bytes))),
+    row(PointFormat::E57, "E57", &["e57"], &[b"ASTM-E57"], with_feature!("e57", |bytes, _, _| e57::read(bytes))),
+    row(PointFormat::Gltf, "glTF", &["gltf", "glb"], &[b"glTF"],
+        with_feature!("gltf", |bytes, _, _| gltf::read(bytes))),
+    row(PointFormat::Kitti, "KITTI", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 4)),
+    row(PointFormat::Nuscenes, "nuScenes", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 5)),
+];
+
+/// The extensions of the formats that are written, and what is written in them: clouds or keypoints.
+const WRITTEN: &[Written] = &[
+    ("ply", Some(CloudFormat::Ply), Some(KeypointFormat::Ply)),
+    ("pcd", Some(CloudFormat::Pcd), Some(KeypointFormat::Pcd)),
+    ("npy", Some(CloudFormat::Npy), Some(KeypointFormat::Npy)),
+    ("xyz", Some(CloudFormat::Xyz), None),
+    ("csv", Some(CloudFormat::Csv), Some(KeypointFormat::Csv)),
+    ("keypointnet.json", None, Some(KeypointFormat::KeypointNet)),
+    ("json", None, Some(KeypointFormat::Json)),
+    #[cfg(feature = "laz")]
+    ("laz", None, Some(KeypointFormat::Laz)),
+    #[cfg(feature = "parquet")]
+    ("parquet", None, Some(KeypointFormat::Parquet)),
+];
+
+/// The extensions that [`PointFormat::from_path`] accepts.
+pub static POINT_EXTENSIONS: Extensions =
+    LazyLock::new(|| FORMATS.iter().flat_map(|format| format.extensions).copied().collect());
+/// The extensions that [`CloudFormat::from_path`] accepts.
+pub static CLOUD_EXTENSIONS: Extensions = LazyLock::new(|| written(|(_, cloud, _)| cloud.is_some()));
+/// The extensions that [`KeypointFormat::from_path`] accepts.
+pub static KEYPOINT_EXTENSIONS: Extensions = LazyLock::new(|| written(|(.., keypoints)| keypoints.is_some()));
+
+type Extensions = LazyLock<Vec<&'static str>>;
+type Written = (&'static str, Option<CloudFormat>, Option<KeypointFormat>);
+
+fn written(is_wanted: impl Fn(&&Written) -> bool) -> Vec<&'static str> {
+    WRITTEN.iter().filter(is_wanted).map(|(extension, ..)| *extension).collect()
+}
+
+/// The format of a file to write: that of the first extension with which its name ends.
+fn written_format<F>(path: &Path, extensions: &[&str], format: impl Fn(&Written) -> Option<F>) -> Result<F> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let is_own = |extension: &str| {
+        name.strip_suffix(extension).and_then(|stem| stem.strip_suffix('.')).is_some_and(|stem| !stem.is_empty())
+    };
+    let mut formats = WRITTEN.iter().filter(|(extension, ..)| is_own(extension)).filter_map(format);
+    formats.next().ok_or_else(|| unknown_extension(path, "written", extensions))
+}
 
 /// A format from which clouds are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,12 +159,6 @@ pub enum PointFormat {
 /// The most float32 values that a point of a sweep can have.
 const MAX_SWEEP_VALUES: u8 = 64;
 
-/// The extensions that [`PointFormat::from_path`] accepts.
-pub const POINT_EXTENSIONS: &[&str] = &[
-    "ply", "pcd", "xyz", "txt", "csv", "pts", "asc", "xyzn", "xyzrgb", "xyzi", "npy", "npz", "obj", "off", "stl",
-    "las", "laz", "e57", "gltf", "glb",
-];
-
 impl PointFormat {
     /// The format of a file by its extension, in upper or lower case. A `.bin` file is a sweep of nuScenes if its name ends
     /// in `.pcd.bin` or a folder of its path is `LIDAR_TOP`, and one of KITTI if a folder is `velodyne` or
@@ -68,81 +172,56 @@ impl PointFormat {
         }
         Self::from_extension(&extension(path)).ok_or_else(|| match conversion(&extension(path)) {
             Some(command) => Error::Format { path: path.into(), reason: format!("this format is not read; {command}") },
-            None => unknown_extension(path, "read", POINT_EXTENSIONS),
+            None => unknown_extension(path, "read", &POINT_EXTENSIONS),
         })
     }
 
     /// The format of an extension in lower case without a dot, or of the name `kitti`, `nuscenes` or `kitti:5`, which are
     /// sweeps of 4, 5 and the stated number of float32 values a point. The stated number is not checked with the content.
     pub fn from_extension(extension: &str) -> Option<Self> {
-        Some(match extension {
-            "ply" => Self::Ply,
-            "pcd" => Self::Pcd,
-            "xyz" | "txt" | "csv" | "asc" | "xyzn" | "xyzrgb" | "xyzi" => Self::Text,
-            "pts" => Self::Pts,
-            "npy" => Self::Npy,
-            "npz" => Self::Npz,
-            "obj" => Self::Obj,
-            "off" => Self::Off,
-            "stl" => Self::Stl,
-            "las" | "laz" => Self::Las,
-            "e57" => Self::E57,
-            "gltf" | "glb" => Self::Gltf,
-            "kitti" => Self::Kitti,
-            "nuscenes" => Self::Nuscenes,
-            _ => {
-                let values = extension.strip_prefix("kitti:")?.parse().ok()?;
-                return (3..=MAX_SWEEP_VALUES).contains(&values).then_some(Self::Sweep(values));
-            }
+        let is_own = |format: &&Format| match format.extensions {
+            [] => format.name.eq_ignore_ascii_case(extension),
+            extensions => extensions.contains(&extension),
+        };
+        FORMATS.iter().find(is_own).map(|format| format.format).or_else(|| {
+            let values = extension.strip_prefix("kitti:")?.parse().ok()?;
+            (3..=MAX_SWEEP_VALUES).contains(&values).then_some(Self::Sweep(values))
         })
     }
 
     /// The format of a file by its signature. Columns of text, OBJ and binary STL have no signature.
     pub fn from_content(bytes: &[u8]) -> Option<Self> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let starts = |signatures: &[&[u8]]| signatures.iter().any(|signature| bytes.starts_with(signature));
-        if starts(&[b"ply\n", b"ply\r"]) {
-            Some(Self::Ply)
-        } else if starts(&[b"# .PCD", b"VERSION", b"FIELDS"]) {
-            Some(Self::Pcd)
-        } else if starts(&[npy::MAGIC]) {
-            Some(Self::Npy)
-        } else if starts(&[NPZ_MAGIC]) {
-            Some(Self::Npz)
-        } else if starts(&[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"]) {
-            Some(Self::Off)
-        } else if starts(&[b"solid "]) {
-            Some(Self::Stl)
-        } else if starts(&[b"LASF"]) {
-            Some(Self::Las)
-        } else if starts(&[b"ASTM-E57"]) {
-            Some(Self::E57)
-        } else if starts(&[b"glTF"]) {
-            Some(Self::Gltf)
-        } else {
-            None
-        }
+        let is_own = |format: &&Format| format.signatures.iter().any(|signature| bytes.starts_with(signature));
+        FORMATS.iter().find(is_own).map(|format| format.format)
     }
 
     /// The name of the format in messages.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Ply => "PLY",
-            Self::Pcd => "PCD",
-            Self::Text => "text",
-            Self::Pts => "PTS",
-            Self::Npy => "NPY",
-            Self::Npz => "NPZ",
-            Self::Obj => "OBJ",
-            Self::Off => "OFF",
-            Self::Stl => "STL",
-            Self::Las => "LAS",
-            Self::E57 => "E57",
-            Self::Gltf => "glTF",
-            Self::Kitti => "KITTI",
-            Self::Nuscenes => "nuScenes",
-            Self::Sweep(_) => "sweep",
+        self.row().map_or("sweep", |format| format.name)
+    }
+
+    /// Reads the points of a file, in chosen columns, and the faces if they are wanted.
+    pub(crate) fn read(
+        self,
+        bytes: &[u8],
+        columns: Option<&Columns>,
+        with_faces: bool,
+    ) -> std::result::Result<Shape, String> {
+        if columns.is_some() && !matches!(self, Self::Text | Self::Pts | Self::Npy | Self::Npz) {
+            return Err(
+                "columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into()
+            );
         }
+        match (self.row(), self) {
+            (Some(format), _) => (format.read)(bytes, columns, with_faces),
+            (None, Self::Sweep(values)) => sweep::read(bytes, values.into()),
+            _ => Err("not a format of the table".into()),
+        }
+    }
+
+    fn row(self) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.format == self)
     }
 }
 
@@ -171,20 +250,6 @@ pub enum KeypointFormat {
     Parquet,
 }
 
-/// The extensions that [`KeypointFormat::from_path`] accepts.
-pub const KEYPOINT_EXTENSIONS: &[&str] = &[
-    "ply",
-    "pcd",
-    "npy",
-    "csv",
-    "keypointnet.json",
-    "json",
-    #[cfg(feature = "laz")]
-    "laz",
-    #[cfg(feature = "parquet")]
-    "parquet",
-];
-
 impl KeypointFormat {
     /// The format of a file by its extension, in upper or lower case.
     ///
@@ -192,40 +257,16 @@ impl KeypointFormat {
     /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`]; [`Error::Feature`] when it is that of a format
     /// that this build does not write.
     pub fn from_path(path: &Path) -> Result<Self> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-        Ok(match extension(path).as_str() {
-            "ply" => Self::Ply,
-            "pcd" => Self::Pcd,
-            "npy" => Self::Npy,
-            "csv" => Self::Csv,
-            "json" if name.ends_with(".keypointnet.json") => Self::KeypointNet,
-            "json" => Self::Json,
-            #[cfg(feature = "laz")]
-            "laz" => Self::Laz,
-            #[cfg(not(feature = "laz"))]
-            "laz" => return Err(Error::Feature { path: path.into(), feature: "laz" }),
-            #[cfg(feature = "parquet")]
-            "parquet" => Self::Parquet,
-            #[cfg(not(feature = "parquet"))]
-            "parquet" => return Err(Error::Feature { path: path.into(), feature: "parquet" }),
-            _ => return Err(unknown_extension(path, "written", KEYPOINT_EXTENSIONS)),
-        })
+        match extension(path).as_str() {
+            "laz" if !cfg!(feature = "laz") => Err(Error::Feature { path: path.into(), feature: "laz" }),
+            "parquet" if !cfg!(feature = "parquet") => Err(Error::Feature { path: path.into(), feature: "parquet" }),
+            _ => written_format(path, &KEYPOINT_EXTENSIONS, |(.., format)| *format),
+        }
     }
 
     /// The extension of files in this format.
     pub fn extension(self) -> &'static str {
-        match self {
-            Self::Ply => "ply",
-            Self::Pcd => "pcd",
-            Self::Npy => "npy",
-            Self::Csv => "csv",
-            Self::Json => "json",
-            Self::KeypointNet => "keypointnet.json",
-            #[cfg(feature = "laz")]
-            Self::Laz => "laz",
-            #[cfg(feature = "parquet")]
-            Self::Parquet => "parquet",
-        }
+        WRITTEN.iter().find(|(.., format)| *format == Some(self)).map_or("", |(extension, ..)| *extension)
     }
 }
 
@@ -245,23 +286,13 @@ pub enum CloudFormat {
     Csv,
 }
 
-/// The extensions that [`CloudFormat::from_path`] accepts.
-pub const CLOUD_EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "xyz", "csv"];
-
 impl CloudFormat {
     /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
     /// [`Error::Format`] when the extension is not among [`CLOUD_EXTENSIONS`].
     pub fn from_path(path: &Path) -> Result<Self> {
-        Ok(match extension(path).as_str() {
-            "ply" => Self::Ply,
-            "pcd" => Self::Pcd,
-            "npy" => Self::Npy,
-            "xyz" => Self::Xyz,
-            "csv" => Self::Csv,
-            _ => return Err(unknown_extension(path, "written", CLOUD_EXTENSIONS)),
-        })
+        written_format(path, &CLOUD_EXTENSIONS, |(_, format, _)| *format)
     }
 }
 
@@ -274,7 +305,7 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
     } else if is_in(&["velodyne", "velodyne_points"]) {
         Ok(PointFormat::Kitti)
     } else {
-        let reason = "a .bin file does not say how many values a point has; give --input-format kitti (4 values), \
+        let reason = "a .bin file does not say how many values a point has; give `format` kitti (4 values), \
                       nuscenes (5 values) or for example kitti:6 (6 values), or put it in a folder `velodyne` or `LIDAR_TOP`";
         Err(Error::Format { path: path.into(), reason: reason.into() })
     }
@@ -284,13 +315,13 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
 fn conversion(extension: &str) -> Option<&'static str> {
     Some(match extension {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
-        "db3" => "it is a recording: snake-cli detect FILE.db3 --topic /TOPIC, or read_recording in Rust and Python",
+        "db3" => "it is a recording, which `read_recording` and `snake-cli detect` read",
         "zstd" | "zst" => "decompress it: zstd -d FILE",
         "gz" => "decompress it: gunzip --keep FILE",
         "bz2" => "decompress it: bunzip2 --keep FILE",
         "xz" => "decompress it: unxz --keep FILE",
         "zip" => "unpack it: unzip FILE",
-        "mcap" => "it is a recording: snake-cli detect FILE.mcap --topic /TOPIC, or read_recording in Rust and Python",
+        "mcap" => "it is a recording, which `read_recording` and `snake-cli detect` read",
         "pcap" | "pcapng" => "convert the recording to LAS files: ouster-cli source FILE.pcap save FILE.las",
         "ptx" | "fls" | "rcp" => "convert it with CloudCompare: CloudCompare -O FILE -C_EXPORT_FMT PLY -SAVE_CLOUDS",
         "parquet" => {

@@ -68,6 +68,7 @@ mod las;
 mod logs;
 mod poses;
 mod read_keypoints;
+mod table;
 #[cfg(test)]
 mod tests;
 mod text;

@@ -7,15 +7,13 @@ use snake_geometry::{Cloud, Keypoint, Point};
 
 use crate::arrays::npy;
 use crate::format::{KeypointFormat, unknown_extension};
-use crate::formats::pcd;
-use crate::text::columns::{Column, Columns};
-use crate::write::table::Kind;
-use crate::{Error, Result};
+use crate::formats::{pcd, ply};
+use crate::table::{Table, find};
+use crate::{Error, Result, text};
 
-/// The columns of a file of keypoints; others, such as colours, are ignored.
-const COLUMNS: [&str; 6] = ["x", "y", "z", "saliency", "occupancy", "nearest_index"];
-/// The column that files of 2025 lack; a confidence that is not a number is none.
-const CONFIDENCE: &str = "confidence";
+/// The columns of a file of keypoints; others, such as colours, are ignored. Files of 2025 lack the last one, whose value
+/// is not a number where it is not known.
+const COLUMNS: [&str; 7] = ["x", "y", "z", "saliency", "occupancy", "nearest_index", "confidence"];
 const EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "json"];
 
 type Row = [f64; 7];
@@ -38,16 +36,19 @@ type Row = [f64; 7];
 pub fn read_keypoints(path: &Path) -> Result<(Vec<Keypoint>, [f64; 3])> {
     let format = KeypointFormat::from_path(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    let format_error = |reason| Error::Format { path: path.into(), reason };
     let (rows, origin) = match format {
-        KeypointFormat::Ply => (ply(&bytes), [0.0; 3]),
-        KeypointFormat::Pcd => (pcd_rows(&bytes), pcd::origin(&bytes)),
-        KeypointFormat::Npy => (npy_rows(&bytes), [0.0; 3]),
-        KeypointFormat::Csv => (csv(&bytes), [0.0; 3]),
+        KeypointFormat::Ply => (ply::table(&bytes).and_then(rows), [0.0; 3]),
+        KeypointFormat::Pcd => {
+            let (table, origin) = pcd::table(&bytes).map_err(format_error)?;
+            (rows(table), origin)
+        }
+        KeypointFormat::Npy => (npy_table(&bytes).and_then(rows), [0.0; 3]),
+        KeypointFormat::Csv => (text::table(&bytes).and_then(rows), [0.0; 3]),
         KeypointFormat::Json => (json(&bytes), [0.0; 3]),
         _ => return Err(unknown_extension(path, "read as keypoints", EXTENSIONS)),
     };
-    let rows = rows.map_err(|reason| Error::Format { path: path.into(), reason })?;
-    Ok(keypoints(&rows, origin))
+    Ok(keypoints(&rows.map_err(format_error)?, origin))
 }
 
 fn keypoints(rows: &[Row], origin: [f64; 3]) -> (Vec<Keypoint>, [f64; 3]) {
@@ -63,32 +64,28 @@ fn keypoints(rows: &[Row], origin: [f64; 3]) -> (Vec<Keypoint>, [f64; 3]) {
     (rows.iter().zip(cloud.points).map(keypoint).collect(), cloud.origin)
 }
 
-/// The places of the columns among the names of a file; that of the confidence can be missing.
-fn places(names: &[&str]) -> std::result::Result<[Option<usize>; 7], String> {
-    let place = |column: &&str| names.iter().position(|name| name == column);
-    if let Some(missing) = COLUMNS.iter().find(|column| place(column).is_none()) {
-        return Err(format!("no column `{missing}`, so these are not keypoints; the columns are {}", names.join(", ")));
-    }
-    let [x, y, z, saliency, occupancy, index] = COLUMNS.map(|column| place(&column));
-    Ok([x, y, z, saliency, occupancy, index, place(&CONFIDENCE)])
+/// The columns of all files.
+fn first_columns() -> [&'static str; 6] {
+    let [x, y, z, saliency, occupancy, index, _] = COLUMNS;
+    [x, y, z, saliency, occupancy, index]
 }
 
-fn csv(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
-    let text = str::from_utf8(bytes).map_err(|error| error.to_string())?;
-    let mut lines = text.lines().enumerate();
-    let header = lines.next().map(|(_, line)| line.split(',').collect::<Vec<_>>()).unwrap_or_default();
-    let places = places(&header)?;
-    let row = |(number, line): (usize, &str)| {
-        let fields: Vec<&str> = line.split(',').collect();
-        let value = |place: Option<usize>| match place {
-            Some(place) => fields.get(place).and_then(|field| field.parse().ok()),
-            None => Some(f64::NAN),
-        };
-        let row: Option<Vec<f64>> = places.iter().map(|&place| value(place)).collect();
-        row.and_then(|row| row.try_into().ok())
-            .ok_or_else(|| format!("line {}: not a number in each column", number + 1))
-    };
-    lines.map(row).collect()
+/// The rows of a table with these columns, of which the confidence can be missing.
+fn rows(table: Table) -> std::result::Result<Vec<Row>, String> {
+    if let Ok(columns) = find(&table.names, COLUMNS) {
+        return table.read(columns);
+    }
+    let columns = find(&table.names, first_columns()).map_err(|(missing, _)| {
+        format!("no column `{missing}`, so these are not keypoints; the columns are {}", table.names.join(", "))
+    })?;
+    let with_confidence =
+        |[x, y, z, saliency, occupancy, index]: [f64; 6]| [x, y, z, saliency, occupancy, index, f64::NAN];
+    Ok(table.read(columns)?.into_iter().map(with_confidence).collect())
+}
+
+/// An array has no names: all seven columns, or the first six.
+fn npy_table(bytes: &[u8]) -> std::result::Result<Table<'_>, String> {
+    npy::table(bytes, COLUMNS).or_else(|_| npy::table(bytes, first_columns()))
 }
 
 /// The rows of `{"keypoints": [..]}`; null is not a number.
@@ -114,81 +111,6 @@ fn json(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
         [x, y, z, saliency, occupancy, nearest_index as f64, confidence]
     };
     Ok(keypoints.into_iter().map(row).collect())
-}
-
-fn npy_rows(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
-    let columns = |columns: [usize; 3]| Columns(columns.map(Column::Index));
-    let (first, second) = (columns([0, 1, 2]), columns([3, 4, 5]));
-    let (positions, scores) = (npy::positions(bytes, Some(&first))?, npy::positions(bytes, Some(&second))?);
-    let confidences: Option<Vec<f64>> = npy::positions(bytes, Some(&columns([4, 5, 6])))
-        .ok()
-        .map(|rows| rows.map(|[.., confidence]| confidence).collect());
-    let confidence = |row: usize| confidences.as_ref().map_or(f64::NAN, |all| all[row]);
-    let row = |(row, ([x, y, z], [saliency, occupancy, index])): (usize, ([f64; 3], [f64; 3]))| {
-        [x, y, z, saliency, occupancy, index, confidence(row)]
-    };
-    Ok(positions.zip(scores).enumerate().map(row).collect())
-}
-
-fn ply(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
-    let (header, data) = split(bytes, "end_header\n")?;
-    if !header.contains("format binary_little_endian") {
-        return Err("not a binary file of keypoints, as `save` writes it".into());
-    }
-    let words = header.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
-    let (mut columns, mut num_rows) = (Vec::new(), 0);
-    for words in words {
-        match words[..] {
-            ["element", "vertex", number] => num_rows = number.parse().map_err(|_| "the number of vertices")?,
-            ["property", kind, name] => {
-                columns.push((name, Kind::from_ply_type(kind).ok_or(format!("type `{kind}`"))?))
-            }
-            _ => {}
-        }
-    }
-    binary(&columns, num_rows, data)
-}
-
-fn pcd_rows(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
-    let (header, data) = split(bytes, "DATA binary\n")?;
-    let values = |key: &str| -> Vec<&str> {
-        let line = header.lines().find_map(|line| line.strip_prefix(key));
-        line.map(|line| line.split_whitespace().collect()).unwrap_or_default()
-    };
-    let kinds = values("SIZE").into_iter().zip(values("TYPE")).map(|kind| match kind {
-        ("4", "F") => Ok(Kind::Float),
-        ("8", "F") => Ok(Kind::Double),
-        ("4", "I") => Ok(Kind::Int),
-        (size, kind) => Err(format!("a field of type {kind} and size {size}")),
-    });
-    let columns = values("FIELDS").into_iter().zip(kinds).map(|(name, kind)| Ok((name, kind?)));
-    let columns: Vec<(&str, Kind)> = columns.collect::<std::result::Result<_, String>>()?;
-    let num_rows = values("POINTS").first().and_then(|number| number.parse().ok()).ok_or("the number of points")?;
-    binary(&columns, num_rows, data)
-}
-
-/// The text before and up to a line, and the bytes after it.
-fn split<'a>(bytes: &'a [u8], line: &str) -> std::result::Result<(&'a str, &'a [u8]), String> {
-    let end = bytes.windows(line.len()).position(|window| window == line.as_bytes());
-    let end = end
-        .ok_or_else(|| format!("no line `{}`: not a binary file of keypoints, as `save` writes it", line.trim_end()))?;
-    let header = str::from_utf8(&bytes[..end]).map_err(|error| error.to_string())?;
-    Ok((header, &bytes[end + line.len()..]))
-}
-
-/// The rows of little-endian numbers.
-fn binary(columns: &[(&str, Kind)], num_rows: usize, data: &[u8]) -> std::result::Result<Vec<Row>, String> {
-    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-    let places = places(&names)?;
-    let size: usize = columns.iter().map(|(_, kind)| kind.size()).sum();
-    if num_rows.checked_mul(size) != Some(data.len()) {
-        return Err(format!("{} bytes for {num_rows} keypoints of {size} bytes", data.len()));
-    }
-    let row = |mut bytes: &[u8]| {
-        let values: Vec<f64> = columns.iter().map(|(_, kind)| kind.read(&mut bytes)).collect();
-        places.map(|place| place.map_or(f64::NAN, |place| values[place]))
-    };
-    Ok(data.chunks_exact(size).map(row).collect())
 }
 
 #[cfg(test)]
@@ -222,6 +144,31 @@ mod tests {
     }
 
     #[test]
+    fn columns_are_found_by_their_names_in_every_encoding() {
+        let folder = tempfile::tempdir().unwrap();
+        let columns = ["z", "y", "x", "hue", "occupancy", "saliency", "nearest_index"];
+        let properties: String = columns.iter().map(|name| format!("property float {name}\n")).collect();
+        let sizes = columns.map(|_| "4").join(" ");
+        let types = columns.map(|_| "F").join(" ");
+        for (name, text) in [
+            ("a.ply", format!("ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n3 2 1 9 0.5 0.75 7\n")),
+            (
+                "a.pcd",
+                format!(
+                    "FIELDS {}\nSIZE {sizes}\nTYPE {types}\nPOINTS 1\nDATA ascii\n3 2 1 9 0.5 0.75 7\n",
+                    columns.join(" ")
+                ),
+            ),
+            ("a.csv", format!("{}\n3,2,1,9,0.5,0.75,7\n", columns.join(","))),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            let expected = Keypoint { position: [1.0, 2.0, 3.0], confidence: None, ..KEYPOINTS[0] };
+            assert_eq!(read_keypoints(&path).unwrap(), (vec![expected], [0.0; 3]), "{name}");
+        }
+    }
+
+    #[test]
     fn other_content_is_refused_with_a_reason() {
         let folder = tempfile::tempdir().unwrap();
         let refused = |name: &str, content: &[u8]| {
@@ -233,14 +180,17 @@ mod tests {
         assert!(refused("a.csv", b"x,y,z,saliency,occupancy,nearest_index\n1,2,3\n").contains("line 2"));
         assert!(refused("a.csv", b"").contains("no column `x`"));
         assert!(refused("a.json", b"{}").contains("keypoints"));
-        assert!(
-            refused("a.ply", b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n").contains("as `save` writes it")
-        );
-        assert!(refused("a.pcd", b"# .PCD").contains("DATA binary"));
+        let xyz = "property float x\nproperty float y\nproperty float z\n";
+        let ply = format!("ply\nformat ascii 1.0\nelement vertex 0\n{xyz}end_header\n");
+        assert!(refused("a.ply", ply.as_bytes()).contains("no column `saliency`"));
+        assert!(refused("a.pcd", b"# .PCD").contains("no line DATA"));
         assert!(refused("a.txt", b"").contains("ply"));
         let path = folder.path().join("cut.ply");
         write_keypoints(&path, &KEYPOINTS, &KeypointSource::default()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        assert!(refused("cut.ply", &bytes[..bytes.len() - 1]).contains("2 keypoints of 31 bytes"));
+        assert!(
+            refused("cut.ply", &bytes[..bytes.len() - 1])
+                .contains("2 times element `vertex` takes at least 31 bytes each, 61 bytes follow")
+        );
     }
 }

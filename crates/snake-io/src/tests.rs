@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use snake_geometry::{Keypoint, Point, RigidTransform};
 
 use super::*;
-use crate::formats::shape::Shape;
+use crate::table::shape::Shape;
 
 pub(crate) const KEYPOINTS: [Keypoint; 2] = [
     Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7, confidence: Some(0.5) },
@@ -37,7 +37,7 @@ fn good_files() -> Vec<PathBuf> {
 #[test]
 fn good_files_hold_the_cloud() {
     let paths = good_files();
-    for extension in POINT_EXTENSIONS {
+    for extension in POINT_EXTENSIONS.iter() {
         assert!(paths.iter().any(|path| super::format::extension(path) == *extension), "no sample of .{extension}");
     }
     for path in paths {
@@ -91,7 +91,7 @@ fn keypoints_read_back_as_points() {
 fn clouds_far_away_read_back_to_the_last_digit() {
     let folder = tempfile::tempdir().unwrap();
     let cloud = Cloud { points: CLOUD.to_vec(), origin: [524_288.0, 5_400_000.0, 128.0] };
-    for extension in CLOUD_EXTENSIONS {
+    for extension in CLOUD_EXTENSIONS.iter() {
         let path = folder.path().join("a").with_extension(extension);
         write_points(&path, &cloud.points, cloud.origin).unwrap();
         let read = read_cloud(&path, &ReadOptions::default()).unwrap();
@@ -180,7 +180,7 @@ fn unknown_extensions_are_refused_with_the_list() {
         assert!(check_mesh_path(Path::new(name)).unwrap_err().to_string().contains(".ply, .obj, .stl"));
         assert!(CloudFormat::from_path(Path::new(name)).unwrap_err().to_string().contains(".ply"));
     }
-    for extension in KEYPOINT_EXTENSIONS {
+    for extension in KEYPOINT_EXTENSIONS.iter() {
         let format = KeypointFormat::from_path(&Path::new("a").with_extension(extension)).unwrap();
         assert_eq!(format.extension(), *extension);
     }

@@ -187,7 +187,7 @@ proptest! {
     fn written_clouds_read_back(points in points()) {
         let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();
-        for extension in io::CLOUD_EXTENSIONS {
+        for extension in io::CLOUD_EXTENSIONS.iter() {
             let path = folder.path().join("cloud").with_extension(extension);
             io::write_points(&path, &points, [0.0; 3]).unwrap();
             assert_same(&points, io::read_cloud(&path, &ReadOptions::default()).unwrap());

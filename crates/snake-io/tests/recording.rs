@@ -383,5 +383,5 @@ fn topics_that_can_become_clouds_say_how() {
         assert!(error.contains(&format!("/a ({schema})")) && error.contains(expected), "{schema}: {error}");
     }
     record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message())]);
-    assert!(read(&path, None).unwrap_err().to_string().ends_with("give one: --topic /a"));
+    assert!(read(&path, None).unwrap_err().to_string().ends_with("give one: `topic` /a"));
 }

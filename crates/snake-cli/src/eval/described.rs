@@ -33,7 +33,7 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
     pub models: Vec<NamedModel>,
-    /// The model that the first cloud has, if none is named.
+    /// The model that was chosen for the first cloud, if none is named.
     chosen: Option<String>,
     combinations: Vec<Combination>,
     external: &'a [(String, PathBuf)],
@@ -44,14 +44,14 @@ pub struct Methods<'a> {
     spacing: [Option<Length>; 2],
 }
 
-/// What is built in, or the place of what comes from files among the `--external`.
+/// A built-in detector or descriptor, or the index of one of the `--external`.
 #[derive(Clone, Copy)]
 enum Source<T> {
     Builtin(T),
     Files(usize),
 }
 
-/// A detector by one of the models, with its descriptors, each by one of the models.
+/// A detector and the model that runs it, with its descriptors and their models.
 struct Combination {
     source: Source<Detector>,
     model: usize,
@@ -195,7 +195,7 @@ impl<'a> Methods<'a> {
         Ok(DescribedCloud { points, origin, features })
     }
 
-    /// The number of keypoints to find before suppression, which the model does itself.
+    /// The number of keypoints to find before suppression; the network suppresses itself.
     fn candidates(&self, detector: Detector, points: &[Point]) -> usize {
         let suppresses = detector == Detector::Snake || self.spacing[0].is_none();
         if suppresses { self.most } else { points.len() }

@@ -47,9 +47,10 @@ pub struct Ranked {
     pub model: Option<String>,
 }
 
-/// A cloud by the name that keypoints in files have.
+/// The cloud of a file of keypoints.
 #[derive(Clone, Copy)]
 pub struct InFile<'a> {
+    /// The name of the file, without its extension.
     pub name: &'a str,
     /// Offset to add to the cloud for the frame of its file.
     pub origin: [f64; 3],
@@ -62,7 +63,7 @@ enum Spacing {
     Own,
     /// At least a length.
     Radius(Length),
-    /// So far that the keypoints cover the clouds as is asked; the radius is found on the clouds.
+    /// The radius at which the keypoints cover the clouds as `--coverage` asks.
     Coverage,
 }
 
@@ -153,7 +154,7 @@ impl Method {
         Ok(Ranked { positions: kept.into_iter().map(|index| positions[index]).collect(), model })
     }
 
-    /// Positions of all keypoints, best first: before suppression, where it is not the detector's own.
+    /// Positions of all keypoints, best first, before suppression unless the detector suppresses itself.
     pub fn candidates(&self, points: &[Point], file: Option<InFile>, seed: u64) -> Result<Ranked> {
         let positions = match &self.source {
             Source::Snake { chooser, spacing } => {
@@ -214,7 +215,7 @@ pub fn count_models(ranked: &[Ranked]) -> Models {
     models
 }
 
-/// Refuses a name that stands twice, because rows of one name are those of several models.
+/// Refuses a name that is given twice: rows of one name are taken for several models of one method.
 pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a String>) -> Result<()> {
     let mut known = HashSet::new();
     for name in names {

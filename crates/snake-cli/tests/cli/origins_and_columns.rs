@@ -194,4 +194,9 @@ fn using_the_vertices_of_a_mesh_prints_a_warning() {
     assert!(text.contains("its 8 vertices are used") && text.contains("--sample N"), "{text}");
     assert_eq!(said(&["--sample", "2000"]) + &said(&["--quiet"]), "");
     assert_eq!(report(&["detect", &sample(), "--json"]).1, "");
+    // The faces of the cube twice, and one that is far larger.
+    let faces = format!("{faces}{faces}3 0 1 8\n");
+    std::fs::write(&mesh, format!("OFF\n9 13 0\n{corners}0 1000 0\n{faces}")).unwrap();
+    let text = said(&["--sample", "2000"]);
+    assert!(text.contains("one face holds 98 % of the mesh's surface"), "{text}");
 }

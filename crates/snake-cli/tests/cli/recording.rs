@@ -100,7 +100,7 @@ fn mistakes_with_recordings_are_named() {
         (&["detect", &drive, "-o", "-"], "give a directory"),
         (&["detect", &drive, "-o", &drive], "is an input"),
         (&["detect", &drive, "--sample", "9"], "not for a recording"),
-        (&["view", &drive, "-o", &page], "snake-cli detect FILE.mcap --topic /TOPIC"),
+        (&["view", &drive, "-o", &page], "`snake-cli detect` read"),
         (&["detect", "none.mcap"], "none.mcap"),
         (&["detect", &renamed("bag")], "old.bag: No such file"),
         (&["detect", &renamed("db3")], "old.db3: "),
@@ -110,9 +110,7 @@ fn mistakes_with_recordings_are_named() {
         assert!(!done.status.success() && stderr(&done).contains(expected), "{arguments:?}: {}", stderr(&done));
     }
     assert!(folder.path().read_dir().unwrap().next().is_none());
-    for (extension, expected) in
-        [("bag", "mcap convert FILE.bag FILE.mcap"), ("db3", "snake-cli detect FILE.db3 --topic /TOPIC")]
-    {
+    for (extension, expected) in [("bag", "mcap convert FILE.bag FILE.mcap"), ("db3", "`snake-cli detect` read")] {
         std::fs::write(renamed(extension), "of another program").unwrap();
         let said = stderr(&snake(&["view", &renamed(extension), "-o", &page]));
         assert!(said.contains(expected), "{said}");

@@ -16,7 +16,7 @@ const RESOLUTIONS: [usize; 4] = [64, 48, 32, 24];
 const SAMPLES: [usize; 2] = [2048, 16_384];
 /// Sizes of a voxel of a scene model, in resolutions of the cloud.
 const VOXELS: [f64; 11] = [1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5];
-/// A finer query grid is not worth fewer points than this.
+/// The finest query grid is chosen that still allows this many encoded points.
 const MIN_POINTS: usize = 8192;
 /// Numbers of points are rounded down to a multiple of this.
 const STEP: usize = 1024;

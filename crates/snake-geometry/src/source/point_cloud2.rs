@@ -32,6 +32,12 @@ pub struct PointCloud2Layout {
     pub is_bigendian: bool,
 }
 
+/// Magnitudes of coordinates that are not zero, in any unit.
+const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
+
+/// Points whose byte order is checked.
+const MAX_CHECKED: usize = 1000;
+
 /// A cloud of strided bytes, without a copy. Coordinates are of any type. As a [`PointSource`] they are read as `f32`;
 /// [`PointCloud2View::to_cloud`] keeps the digits of coordinates far from zero, such as UTM.
 ///
@@ -59,12 +65,36 @@ impl<'a> PointCloud2View<'a> {
     ///
     /// # Errors
     /// [`Error::Input`] when a field is missing, is given twice, has an unknown type or reaches beyond `point_step`, and
-    /// when the rows overlap or reach beyond `data`. The text names the field.
+    /// when the rows overlap or reach beyond `data`. The text names the field. Also when only the other byte order than
+    /// `is_bigendian` gives coordinates of plausible magnitudes.
     pub fn new(layout: PointCloud2Layout, fields: &[PointField], data: &'a [u8]) -> Result<Self> {
         let axis = |name| axis(name, fields, layout.point_step);
         let axes = [axis("x")?, axis("y")?, axis("z")?];
         let row_step = row_step(&layout, data.len())?;
-        Ok(Self { layout: PointCloud2Layout { row_step, ..layout }, axes, data })
+        let view = Self { layout: PointCloud2Layout { row_step, ..layout }, axes, data };
+        if view.has_swapped_bytes() {
+            let reason = format!("{} contradicts the byte order of the coordinates", layout.is_bigendian);
+            return Err(Error::Input { what: "is_bigendian", reason });
+        }
+        Ok(view)
+    }
+
+    /// Whether most of the coordinates are plausible in the other byte order alone. Three of four numbers with swapped
+    /// bytes are not, and zeros are zeros in both orders.
+    fn has_swapped_bytes(&self) -> bool {
+        let is_bigendian = !self.layout.is_bigendian;
+        let swapped = Self { layout: PointCloud2Layout { is_bigendian, ..self.layout }, ..*self };
+        let num_points = self.num_points();
+        let checked = (0..num_points).step_by(num_points.div_ceil(MAX_CHECKED).max(1));
+        let pairs = checked.flat_map(|index| std::iter::zip(self.position(index), swapped.position(index)));
+        let (mut num_stated, mut num_swapped, mut num_numbers) = (0_usize, 0_usize, 0_usize);
+        for (stated, swapped) in pairs.filter(|(stated, _)| *stated != 0.0) {
+            let [is_stated, is_swapped] = [stated, swapped].map(|value| PLAUSIBLE.contains(&value.abs()));
+            num_stated += usize::from(is_stated && !is_swapped);
+            num_swapped += usize::from(is_swapped && !is_stated);
+            num_numbers += usize::from(!(stated.is_nan() || swapped.is_nan()));
+        }
+        2 * num_swapped > num_numbers && num_swapped > 20 * num_stated
     }
 
     /// All points `(N, 3)`, relative to an origin if they are far from zero.
@@ -207,6 +237,24 @@ mod tests {
             let view = PointCloud2View::new(layout, &fields, &data).unwrap();
             assert_eq!(view.to_points(), expected, "{is_bigendian} {is_double}");
             assert!(PointCloud2View::new(layout, &fields, &data[..data.len() - 1]).is_err());
+        }
+    }
+
+    #[test]
+    fn a_byte_order_that_contradicts_the_coordinates_is_refused() {
+        for (is_bigendian, is_double) in [(false, false), (true, false), (false, true), (true, true)] {
+            let (layout, fields, data) = message(is_bigendian, is_double);
+            let lie = PointCloud2Layout { is_bigendian: !is_bigendian, ..layout };
+            let error = PointCloud2View::new(lie, &fields, &data).unwrap_err().to_string();
+            assert!(error.contains("is_bigendian") && error.contains("byte order"), "{error}");
+        }
+        // Unusual coordinates are not taken for swapped bytes: zeros, missing points, and lengths of astronomy.
+        let fields = [field("x", 0, 7), field("y", 4, 7), field("z", 8, 7)];
+        let layout = PointCloud2Layout { height: 1, width: 40, point_step: 12, row_step: 480, is_bigendian: false };
+        let values: [fn(f32) -> f32; 4] = [|_| 0.0, |_| f32::NAN, |i| 1e16 * i.sin(), |i| 1e-20 * i.cos()];
+        for value in values {
+            let data: Vec<u8> = (0_u8..120).flat_map(|i| value(f32::from(i)).to_le_bytes()).collect();
+            assert!(PointCloud2View::new(layout, &fields, &data).is_ok(), "{}", value(1.0));
         }
     }
 

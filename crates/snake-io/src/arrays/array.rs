@@ -1,6 +1,6 @@
 //! Arrays of numbers with any shape, as in NumPy.
 
-use crate::arrays::dtype::Dtype;
+use crate::table::scalar::Scalar;
 
 /// An array of numbers in C order: the last axis varies fastest.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,15 +18,15 @@ impl Array {
     /// # Errors
     /// A reason, when the items are neither floats nor integers or the data is too short.
     pub fn decode(descr: &str, shape: &[usize], fortran_order: bool, data: &[u8]) -> std::result::Result<Self, String> {
-        let dtype = Dtype::parse(descr)
+        let scalar = Scalar::parse(descr)
             .ok_or_else(|| format!("items of type `{descr:.20}`; floats and integers can be read"))?;
         // This check comes before any allocation, because a file can claim any shape.
         let length = shape.iter().try_fold(1_usize, |product, &length| product.checked_mul(length));
-        let bytes = length.and_then(|length| length.checked_mul(dtype.size));
+        let bytes = length.and_then(|length| length.checked_mul(scalar.size));
         let Some(data) = bytes.and_then(|bytes| data.get(..bytes)) else {
-            return Err(format!("shape {shape:?} of {} bytes each, but {} bytes follow", dtype.size, data.len()));
+            return Err(format!("shape {shape:?} of {} bytes each, but {} bytes follow", scalar.size, data.len()));
         };
-        let items = data.chunks_exact(dtype.size).map(|item| dtype.decode(item)).collect();
+        let items = data.chunks_exact(scalar.size).map(|item| scalar.decode(item)).collect();
         let array = Self { shape: shape.to_vec(), items };
         Ok(if fortran_order && shape.len() > 1 { array.with_first_axis_fastest() } else { array })
     }

@@ -2,7 +2,6 @@
 
 pub(crate) mod array;
 pub(crate) mod array_files;
-pub(crate) mod dtype;
 pub(crate) mod npy;
 #[cfg(feature = "npz")]
 pub(crate) mod npz;

@@ -3,9 +3,10 @@
 use std::io::{self, Write};
 
 use crate::arrays::array::Array;
-use crate::arrays::dtype::Dtype;
-use crate::formats::shape::{Position, Shape, check_left_over};
-use crate::text::columns::{Columns, Indices};
+use crate::table::scalar::Scalar;
+use crate::table::shape::{Position, Shape, check_left_over};
+use crate::table::{Place, Table, decode};
+use crate::text::columns::Columns;
 use snake_geometry::{Point, RigidTransform, excerpt};
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
@@ -20,28 +21,38 @@ pub(crate) fn positions<'a>(
     bytes: &'a [u8],
     columns: Option<&Columns>,
 ) -> Result<impl Iterator<Item = Position> + Clone + use<'a>, String> {
-    let (array, data) = open(bytes)?;
-    if let Some(clouds) = array.clouds {
-        let ArrayHeader { rows, columns, .. } = array;
-        return Err(format!(
-            "shape ({clouds}, {rows}, {columns}) is several clouds, or one with rows and columns of a sensor; save one \
-             cloud: numpy.save(\"cloud.npy\", a[0]), or a.reshape(-1, {columns})"
-        ));
-    }
+    let (array, data) = open_cloud(bytes)?;
     if columns.is_none() {
         array.check_shape(data)?;
     }
-    check_left_over(&data[array.rows * array.columns * array.dtype.size..], array.rows)?;
-    let indices = columns.map_or(Ok([0, 1, 2]), Columns::in_array)?;
-    if let Some(missing) = indices.iter().find(|&&index| index >= array.columns) {
-        return Err(format!("no column {}; the array has {}", missing.saturating_add(1), array.columns));
-    }
-    Ok(array.cloud(data, 0, indices))
+    let places = array.places(columns.map_or(Ok([0, 1, 2]), Columns::in_array)?)?;
+    Ok(decode(data, array.rows, places))
+}
+
+/// The table of the first columns of an array, with these names.
+pub(crate) fn table<'a, const N: usize>(bytes: &'a [u8], names: [&str; N]) -> Result<Table<'a>, String> {
+    let (array, data) = open_cloud(bytes)?;
+    let places = array.places(std::array::from_fn::<_, N, _>(|column| column))?;
+    Ok(Table::binary(names.map(String::from).into(), data, array.rows, places.into()))
 }
 
 /// [`positions`] as a shape without faces.
 pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     Ok(positions(bytes, columns)?.collect::<Vec<_>>().into())
+}
+
+/// The header and the data of an array `(N, C)`.
+fn open_cloud(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
+    let (array, data) = open(bytes)?;
+    let ArrayHeader { clouds, rows, columns, scalar, .. } = array;
+    if let Some(clouds) = clouds {
+        return Err(format!(
+            "shape ({clouds}, {rows}, {columns}) is several clouds, or one with rows and columns of a sensor; save one \
+             cloud: numpy.save(\"cloud.npy\", a[0]), or a.reshape(-1, {columns})"
+        ));
+    }
+    check_left_over(&data[rows * columns * scalar.size..], rows)?;
+    Ok((array, data))
 }
 
 /// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`, that is no matrix of a camera or transform.
@@ -60,9 +71,11 @@ pub(crate) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
     if array.rows == 0 {
         return Err("clouds without points".into());
     }
-    Ok((0..clouds)
-        .map(|cloud| array.cloud(data, cloud, [0, 1, 2]).map(|point| point.map(|v| v as f32)).collect())
-        .collect())
+    let cloud = |cloud| {
+        let rows = decode(array.data_of(data, cloud), array.rows, [0, 1, 2].map(|column| array.place(column)));
+        rows.map(|point| point.map(|v| v as f32)).collect()
+    };
+    Ok((0..clouds).map(cloud).collect())
 }
 
 /// Reads transforms from an array `(S, 3, 4)` or `(S, 4, 4)`, row by row. A missing fourth row is 0 0 0 1.
@@ -100,10 +113,10 @@ fn open(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
     let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
     let array = ArrayHeader::parse(header)?;
     // This check comes before any allocation, because a header can claim any size.
-    let lengths = [array.clouds.unwrap_or(1), array.rows, array.columns, array.dtype.size];
+    let lengths = [array.clouds.unwrap_or(1), array.rows, array.columns, array.scalar.size];
     let needed = lengths.into_iter().try_fold(1_usize, usize::checked_mul);
     if needed.is_none_or(|needed| needed > data.len()) {
-        let ArrayHeader { clouds, rows, columns, dtype: Dtype { size, .. }, .. } = array;
+        let ArrayHeader { clouds, rows, columns, scalar: Scalar { size, .. }, .. } = array;
         let clouds = clouds.map(|clouds| format!("{clouds}, ")).unwrap_or_default();
         return Err(format!("shape ({clouds}{rows}, {columns}) of {size} bytes each, but {} bytes follow", data.len()));
     }
@@ -142,7 +155,7 @@ fn split_header(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 
 #[derive(Clone, Copy)]
 struct ArrayHeader {
-    dtype: Dtype,
+    scalar: Scalar,
     fortran_order: bool,
     /// The length of the axis before rows and columns, if there is one.
     clouds: Option<usize>,
@@ -180,7 +193,7 @@ impl ArrayHeader {
     /// The layout of an array of clouds, or of one cloud.
     fn parse(header: &[u8]) -> Result<Self, String> {
         let Described { descr, fortran_order, shape } = Described::parse(header)?;
-        let dtype = Dtype::parse(&descr).ok_or_else(|| {
+        let scalar = Scalar::parse(&descr).ok_or_else(|| {
             let descr = excerpt(&descr, 20);
             format!(
                 "items of type `{descr}`; floats and integers can be read: numpy.save(\"cloud.npy\", a.astype(float))"
@@ -188,7 +201,7 @@ impl ArrayHeader {
         })?;
         let (clouds, rows, columns) = parse_shape(&shape)
             .ok_or_else(|| format!("shape ({}); expected (N, 3) or more columns", excerpt(&shape, 40)))?;
-        Ok(Self { dtype, fortran_order, clouds, rows, columns })
+        Ok(Self { scalar, fortran_order, clouds, rows, columns })
     }
 
     /// Refuses shapes that are not those of a cloud: coordinates in rows, and the matrix of a transform.
@@ -197,7 +210,7 @@ impl ArrayHeader {
         if matches!(rows, 3 | 4) && columns > MAX_COLUMNS {
             return Err(format!(
                 "shape ({rows}, {columns}) is {rows} points of {columns} values; if it is {columns} points, save it as \
-                 ({columns}, {rows}): numpy.save(\"cloud.npy\", a.T); --columns 1,2,3 reads it as it is"
+                 ({columns}, {rows}): numpy.save(\"cloud.npy\", a.T); `columns` 1,2,3 reads it as it is"
             ));
         }
         let last_row = || std::array::from_fn(|column| self.item(data, 3, column));
@@ -208,22 +221,31 @@ impl ArrayHeader {
         }
     }
 
-    /// The layout of one cloud, after a check that the data holds the whole array.
-    fn cloud(self, data: &[u8], cloud: usize, columns: Indices) -> impl Iterator<Item = Position> + Clone {
-        let data = self.data_of(data, cloud);
-        (0..self.rows).map(move |row| columns.map(|column| self.item(data, row, column)))
-    }
-
     /// The data from the start of a cloud.
     fn data_of<'a>(&self, data: &'a [u8], cloud: usize) -> &'a [u8] {
-        &data[cloud * self.rows * self.columns * self.dtype.size..]
+        &data[cloud * self.rows * self.columns * self.scalar.size..]
+    }
+
+    fn places<const N: usize>(&self, columns: [usize; N]) -> Result<[Place; N], String> {
+        match columns.iter().find(|&&column| column >= self.columns) {
+            Some(missing) => Err(format!("no column {}; the array has {}", missing.saturating_add(1), self.columns)),
+            None => Ok(columns.map(|column| self.place(column))),
+        }
+    }
+
+    /// The items of a column within a cloud's data.
+    fn place(&self, column: usize) -> Place {
+        let Self { scalar, rows, columns, .. } = *self;
+        if self.fortran_order {
+            Place { scalar, offset: column * rows * scalar.size, stride: scalar.size }
+        } else {
+            Place { scalar, offset: column * scalar.size, stride: columns * scalar.size }
+        }
     }
 
     /// Decodes one item of a cloud's data.
     fn item(&self, data: &[u8], row: usize, column: usize) -> f64 {
-        let index = if self.fortran_order { column * self.rows + row } else { row * self.columns + column };
-        let size = self.dtype.size;
-        self.dtype.decode(&data[index * size..][..size])
+        self.place(column).decode(data, row)
     }
 }
 
@@ -263,7 +285,7 @@ mod tests {
         [&bytes, header.as_bytes(), data].concat()
     }
 
-    /// The bytes of small integers in the given dtype.
+    /// The bytes of small integers in the given scalar.
     fn encode(values: &[i8], descr: &str) -> Vec<u8> {
         let encode_one = |&value: &i8| {
             let mut bytes = match &descr[1..] {

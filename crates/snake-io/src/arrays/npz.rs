@@ -7,7 +7,7 @@ use zip::ZipArchive;
 use crate::MAX_EXPANSION;
 use crate::arrays::array::Array;
 use crate::arrays::npy;
-use crate::formats::shape::Shape;
+use crate::table::shape::Shape;
 use crate::text::columns::Columns;
 use snake_geometry::excerpt;
 

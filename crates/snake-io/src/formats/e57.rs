@@ -9,7 +9,7 @@ use snake_geometry::excerpt;
 
 use crate::MAX_EXPANSION;
 use crate::formats::quaternion::rotation;
-use crate::formats::shape::{Position, Shape};
+use crate::table::shape::{Position, Shape};
 
 /// Reads the points of all scans in the file's frame: the pose of each scan is applied. Points that a scanner marks as
 /// invalid are not finite.

@@ -8,7 +8,7 @@ use document::{Document, Node, Primitive};
 
 use crate::MAX_EXPANSION;
 use crate::formats::quaternion::rotation;
-use crate::formats::shape::{Position, Shape, add_polygon};
+use crate::table::shape::{Position, Shape, add_polygon};
 
 /// Reads the vertices of all meshes of the default scene, in the scene's frame (y points up), and their triangles.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {

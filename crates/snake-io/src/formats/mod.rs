@@ -11,6 +11,5 @@ pub(crate) mod pcd;
 pub(crate) mod ply;
 pub(crate) mod ply_header;
 pub(crate) mod quaternion;
-pub(crate) mod shape;
 pub(crate) mod stl;
 pub(crate) mod sweep;

@@ -1,6 +1,6 @@
 //! Object file format (OFF): vertices and faces.
 
-use crate::formats::shape::{Shape, add_polygon};
+use crate::table::shape::{Shape, add_polygon};
 use crate::text::lines::{Lines, no_position, position, text, without_comment};
 use snake_geometry::excerpt;
 

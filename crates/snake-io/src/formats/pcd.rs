@@ -1,8 +1,9 @@
 //! Reads PCD, the format of the Point Cloud Library: ascii, binary and binary_compressed.
 
-use crate::arrays::dtype::Dtype;
 use crate::formats::lzf;
-use crate::formats::shape::{Position, Shape, check_left_over};
+use crate::table::scalar::Scalar;
+use crate::table::shape::{Shape, check_left_over};
+use crate::table::{Place, Table};
 use crate::text::lines::{Lines, advice, text};
 use crate::text::number::number;
 use snake_geometry::excerpt;
@@ -19,43 +20,33 @@ pub(crate) fn origin_comment([x, y, z]: [f64; 3]) -> String {
 
 /// The origin in a comment.
 fn parse_origin(comment: &[u8]) -> Option<[f64; 3]> {
-    let words = str::from_utf8(comment).ok()?.strip_prefix(ORIGIN)?.split_whitespace();
-    let origin: Vec<f64> =
-        words.map(|word| word.parse().ok().filter(|v: &f64| v.is_finite())).collect::<Option<_>>()?;
-    origin.try_into().ok()
+    finite(str::from_utf8(comment).ok()?.strip_prefix(ORIGIN)?.split_whitespace())
 }
 
-/// The origin that a header states; zero without one.
-pub(crate) fn origin(bytes: &[u8]) -> [f64; 3] {
-    let lines = bytes.split(|&byte| byte == b'\n').take_while(|line| !line.starts_with(b"DATA"));
-    lines.filter_map(parse_origin).next().unwrap_or_default()
-}
-
-/// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
-pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
-    let lines = Lines::from_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
-    let line = lines.map(|(_, line)| text(line)).find(|line| line.starts_with("VIEWPOINT"))?;
-    let numbers =
-        line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
-    let position: [f64; 3] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
-    (position != [0.0; 3]).then_some(position)
+/// Three finite numbers.
+fn finite<'a>(words: impl Iterator<Item = &'a str>) -> Option<[f64; 3]> {
+    let numbers = words.map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()));
+    numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
 }
 
 /// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which
 /// marks missing points in organised clouds, is kept.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let (header, lines) = Header::parse(bytes, &AXES)?;
-    let mut points = header.points(lines)?;
-    if let Some(origin) = header.origin {
+    let (header, lines) = Header::parse(bytes)?;
+    let axes = header.axes()?;
+    let (origin, viewpoint) = (header.origin, header.viewpoint);
+    let mut points = header.table(lines)?.read(axes)?;
+    if let Some(origin) = origin {
         points.iter_mut().for_each(|point| *point = std::array::from_fn(|axis| point[axis] + origin[axis]));
     }
-    Ok(points.into())
+    Ok(Shape { points, viewpoint, ..Shape::default() })
 }
 
-/// Three fields of all points by name. One name can stand for all three. Packed colours are the number of their bits.
-pub(crate) fn columns(bytes: &[u8], names: [&str; 3]) -> Result<Vec<Position>, String> {
-    let (header, lines) = Header::parse(bytes, &names)?;
-    header.points(lines)
+/// All fields of one number, and the origin of the points. Packed colours are the number of their bits.
+pub(crate) fn table(bytes: &[u8]) -> Result<(Table<'_>, [f64; 3]), String> {
+    let (header, lines) = Header::parse(bytes)?;
+    let origin = header.origin.unwrap_or_default();
+    Ok((header.table(lines)?, origin))
 }
 
 /// Fields that hold a colour in the bits of a number.
@@ -68,17 +59,19 @@ enum Encoding {
     BinaryCompressed,
 }
 
-/// An axis: whether its bits are meant, its type and its position within a point, in bytes and in columns of text.
-#[derive(Clone, Copy)]
+/// A field of a point: its position within a point, in bytes and in columns of text.
 struct Field {
+    name: String,
+    /// The type of its number, unless it has several numbers, or the reason why it cannot be read.
+    scalar: Result<Scalar, String>,
+    /// Whether its number is a float whose bits are meant.
     is_packed_float: bool,
-    dtype: Dtype,
     offset: usize,
     column: usize,
 }
 
 struct Header {
-    axes: [Field; 3],
+    fields: Vec<Field>,
     /// Bytes of a point in binary data; `columns` is its number of columns in ascii data.
     size: usize,
     columns: usize,
@@ -86,13 +79,16 @@ struct Header {
     encoding: Encoding,
     /// The origin of the points.
     origin: Option<[f64; 3]>,
+    /// The position of the sensor, unless it is zero. The orientation after it is not read.
+    viewpoint: Option<[f64; 3]>,
 }
 
 impl Header {
     /// Parses the header, up to its line DATA. The rest of the lines is the data.
-    fn parse<'a>(bytes: &'a [u8], names: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
+    fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), None);
-        let (mut points, mut width, mut height, mut origin) = (None, None, None, None);
+        let (mut points, mut width, mut height) = (None, None, None);
+        let (mut origin, mut viewpoint) = (None, None);
         let mut lines = Lines::from_header(bytes);
         while let Some((line_number, line)) = lines.next() {
             if line.starts_with(b"#") {
@@ -114,6 +110,7 @@ impl Header {
                 "WIDTH" => width = Some(number()?),
                 "HEIGHT" => height = Some(number()?),
                 "POINTS" => points = Some(number()?),
+                "VIEWPOINT" => viewpoint = finite(values.into_iter().take(3)).filter(|position| *position != [0.0; 3]),
                 "DATA" => {
                     let encoding = match values[..] {
                         ["ascii"] => Encoding::Ascii,
@@ -127,39 +124,77 @@ impl Header {
                     let area = width.zip(height).and_then(|(width, height)| width.checked_mul(height));
                     let num_points = points.or(area).ok_or("header: neither POINTS nor WIDTH and HEIGHT")?;
                     let counts = counts.unwrap_or_else(|| vec!["1"; fields.len()]);
-                    let (axes, size, columns) = axes(names, &fields, &sizes, &types, &counts)?;
-                    return Ok((Self { axes, size, columns, num_points, encoding, origin }, lines));
+                    let (fields, size, columns) = place(&fields, &sizes, &types, &counts)?;
+                    return Ok((Self { fields, size, columns, num_points, encoding, origin, viewpoint }, lines));
                 }
-                "VERSION" | "VIEWPOINT" => {}
+                "VERSION" => {}
                 _ => return Err(bad(&format!("`{}` is no entry of a PCD header", excerpt(line, 60)))),
             }
         }
         Err("no line DATA: not a PCD file, or cut short within its header".into())
     }
 
-    fn points(&self, lines: Lines) -> Result<Vec<Position>, String> {
+    /// The place of x, y and z among the fields of one number.
+    fn axes(&self) -> Result<[usize; 3], String> {
+        let place = |axis: &str| {
+            let mut fields = self.fields.iter().filter(|field| field.name == axis);
+            let field = fields.next().ok_or("header: FIELDS lacks x, y or z")?;
+            if fields.next().is_some() {
+                return Err(format!("header: more than one `{axis}`"));
+            }
+            field.scalar.clone()?;
+            Ok(self.scalars().take_while(|(field, _)| field.name != axis).count())
+        };
+        let [x, y, z] = AXES.map(place);
+        Ok([x?, y?, z?])
+    }
+
+    /// The fields of one number, with its type.
+    fn scalars(&self) -> impl Iterator<Item = (&Field, Scalar)> + Clone {
+        self.fields.iter().filter_map(|field| Some((field, *field.scalar.as_ref().ok()?)))
+    }
+
+    fn table(self, lines: Lines<'_>) -> Result<Table<'_>, String> {
+        let names = self.scalars().map(|(field, _)| field.name.clone()).collect();
+        let places = |first: usize, stride: &dyn Fn(Scalar) -> usize| {
+            let place = |(field, scalar): (&Field, Scalar)| Place {
+                scalar,
+                offset: field.offset * first,
+                stride: stride(scalar),
+            };
+            self.scalars().map(place).collect()
+        };
+        let num_points = self.num_points;
         match self.encoding {
-            Encoding::Ascii => self.ascii(lines),
-            Encoding::Binary => self.binary(lines.rest()),
-            Encoding::BinaryCompressed => self.compressed(lines.rest()),
+            Encoding::Ascii => {
+                Ok(Table::parsed(names, move |columns, found| self.ascii(lines.clone(), columns, found)))
+            }
+            Encoding::Binary => {
+                let rows = self.binary(lines.rest())?;
+                Ok(Table::binary(names, rows, num_points, places(1, &|_| self.size)))
+            }
+            // The first field of all points, then the second, ...
+            Encoding::BinaryCompressed => {
+                let columns = self.unpack(lines.rest())?;
+                Ok(Table::binary(names, columns, num_points, places(num_points, &|scalar| scalar.size)))
+            }
         }
     }
 
-    fn binary(&self, data: &[u8]) -> Result<Vec<Position>, String> {
+    /// The bytes of binary data, after a check that they are as many as the points need.
+    fn binary<'a>(&self, data: &'a [u8]) -> Result<&'a [u8], String> {
         // This check comes before any allocation, because a header can claim any number.
         let Self { num_points, size, .. } = self;
         if num_points.checked_mul(*size).is_none_or(|needed| needed > data.len()) {
             return Err(format!("{num_points} points of {size} bytes each, but {} bytes follow", data.len()));
         }
-        check_left_over(&data[num_points * size..], *num_points)?;
-        let point =
-            |point: &[u8]| self.axes.each_ref().map(|axis| axis.dtype.decode(&point[axis.offset..][..axis.dtype.size]));
-        Ok(data.chunks_exact(*size).take(*num_points).map(point).collect())
+        let (rows, rest) = data.split_at(num_points * size);
+        check_left_over(rest, *num_points)?;
+        Ok(rows)
     }
 
-    /// Reads two lengths (compressed, uncompressed) and LZF data with the first field of all points, then the second,
-    /// ...
-    fn compressed(&self, data: &[u8]) -> Result<Vec<Position>, String> {
+    /// Unpacks two lengths (compressed, uncompressed) and LZF data.
+    fn unpack(&self, data: &[u8]) -> Result<Vec<u8>, String> {
         let Self { num_points, size, .. } = self;
         let lengths = data.split_first_chunk::<4>().zip(data.get(4..).and_then(|rest| rest.split_first_chunk::<4>()));
         let Some(((packed, _), (unpacked, packed_data))) = lengths else {
@@ -172,40 +207,38 @@ impl Header {
         let packed_data = packed_data
             .get(..packed)
             .ok_or_else(|| format!("{packed} bytes of compressed data are promised, {} follow", packed_data.len()))?;
-        let columns = lzf::decompress(packed_data, unpacked)?;
-        let value = |axis: &Field, point: usize| {
-            axis.dtype.decode(&columns[axis.offset * num_points + point * axis.dtype.size..][..axis.dtype.size])
-        };
-        Ok((0..*num_points).map(|point| self.axes.each_ref().map(|axis| value(axis, point))).collect())
+        lzf::decompress(packed_data, unpacked)
     }
 
-    fn ascii(&self, lines: Lines) -> Result<Vec<Position>, String> {
-        let mut points = Vec::new();
+    /// Reads lines, and calls `found` with the numbers of each in these columns of the table.
+    fn ascii(&self, lines: Lines, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
+        let fields: Vec<&Field> = self.scalars().map(|(field, _)| field).collect();
+        let wanted: Vec<&Field> = columns.iter().map(|&column| fields[column]).collect();
+        let (mut row, mut num_rows) = (vec![0.0; columns.len()], 0);
         for (line_number, line) in lines {
             let line = text(line);
-            let (mut point, mut columns) = ([None; 3], 0);
+            let (mut num_words, mut num_found) = (0, 0);
             for word in line.split_ascii_whitespace() {
-                for (value, field) in point.iter_mut().zip(&self.axes).filter(|(_, field)| field.column == columns) {
-                    *value = number(word).map(|number| field.in_text(number));
+                if let Some(place) = wanted.iter().position(|field| field.column == num_words)
+                    && let Some(number) = number(word)
+                {
+                    row[place] = wanted[place].in_text(number);
+                    num_found += 1;
                 }
-                columns += 1;
+                num_words += 1;
             }
-            match point {
-                [Some(x), Some(y), Some(z)] if columns == self.columns => points.push([x, y, z]),
-                _ if line.trim_matches(['\0', '\x1a']).is_empty() => {}
-                _ => {
-                    return Err(format!(
-                        "line {line_number}: `{}` does not fit FIELDS{}",
-                        excerpt(&line, 60),
-                        advice(&line)
-                    ));
-                }
+            if num_words == self.columns && num_found == columns.len() {
+                found(&row);
+                num_rows += 1;
+            } else if !line.trim_matches(['\0', '\x1a']).is_empty() {
+                let (row, advice) = (excerpt(&line, 60), advice(&line));
+                return Err(format!("line {line_number}: `{row}` does not fit FIELDS{advice}"));
             }
         }
-        if points.len() == self.num_points {
-            Ok(points)
+        if num_rows == self.num_points {
+            Ok(())
         } else {
-            Err(format!("the header promises {} points, {} follow", self.num_points, points.len()))
+            Err(format!("the header promises {} points, {num_rows} follow", self.num_points))
         }
     }
 }
@@ -217,47 +250,36 @@ impl Field {
     }
 }
 
-/// The three axes of these names, and the bytes and columns of all fields of a point.
-fn axes(
-    names: &[&str; 3],
-    fields: &[&str],
+/// The fields of a point, and its bytes and columns.
+fn place(
+    names: &[&str],
     sizes: &[&str],
     types: &[&str],
     counts: &[&str],
-) -> Result<([Field; 3], usize, usize), String> {
-    if [sizes.len(), types.len(), counts.len()] != [fields.len(); 3] {
+) -> Result<(Vec<Field>, usize, usize), String> {
+    if [sizes.len(), types.len(), counts.len()] != [names.len(); 3] {
         return Err("header: FIELDS, SIZE, TYPE and COUNT differ in length".into());
     }
     let (mut offset, mut column) = (0_usize, 0_usize);
-    let mut xyz: [Option<Field>; 3] = [None, None, None];
-    for (((&name, size), kind), count) in fields.iter().zip(sizes).zip(types).zip(counts) {
+    let mut fields = Vec::with_capacity(names.len());
+    for (((&name, size), kind), count) in names.iter().zip(sizes).zip(types).zip(counts) {
         let unusable = || {
-            format!(
-                "header: field `{}` of {} scalars of type {}{}",
-                excerpt(name, 40),
-                excerpt(count, 20),
-                excerpt(kind, 20),
-                excerpt(size, 20)
-            )
+            let [name, count, kind, size] =
+                [(name, 40), (*count, 20), (*kind, 20), (*size, 20)].map(|(word, length)| excerpt(word, length));
+            format!("header: field `{name}` of {count} scalars of type {kind}{size}")
         };
         let (size, number) = size.parse().ok().zip(count.parse::<usize>().ok()).ok_or_else(unusable)?;
         let end = usize::checked_mul(size, number).and_then(|bytes| offset.checked_add(bytes)).ok_or_else(unusable)?;
-        if let Some(axis) = names.iter().position(|axis| *axis == name) {
-            if number != 1 || xyz[axis].is_some() {
-                return Err(format!("header: more than one `{name}`"));
-            }
-            let is_packed_float = PACKED.contains(&name) && kind.eq_ignore_ascii_case("F");
-            let kind = if is_packed_float { "u".into() } else { kind.to_ascii_lowercase() };
-            let dtype = Dtype::parse(&format!("<{kind}{size}")).ok_or_else(unusable)?;
-            xyz[axis] = Some(Field { is_packed_float, dtype, offset, column });
-        }
+        let is_packed_float = PACKED.contains(&name) && kind.eq_ignore_ascii_case("F");
+        let kind = if is_packed_float { "u".into() } else { kind.to_ascii_lowercase() };
+        let scalar = match number {
+            1 => Scalar::parse(&format!("<{kind}{size}")).ok_or_else(unusable),
+            _ => Err(format!("header: more than one `{}`", excerpt(name, 40))),
+        };
+        fields.push(Field { name: name.into(), scalar, is_packed_float, offset, column });
         (offset, column) = (end, column.saturating_add(number));
     }
-    // One name can stand for all three.
-    match names.map(|name| names.iter().position(|other| *other == name).and_then(|axis| xyz[axis])) {
-        [Some(x), Some(y), Some(z)] => Ok(([x, y, z], offset, column)),
-        _ => Err("header: FIELDS lacks x, y or z".into()),
-    }
+    Ok((fields, offset, column))
 }
 
 #[cfg(test)]
@@ -327,14 +349,14 @@ mod tests {
 
     #[test]
     fn viewpoints_are_read_unless_they_are_zero() {
+        let fields = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F";
         let of = |line: &str| {
-            super::viewpoint(format!("VERSION .7\n{line}\nPOINTS 1\nDATA ascii\nVIEWPOINT 9 9 9\n").as_bytes())
+            super::read(format!("{fields}\n{line}\nPOINTS 1\nDATA ascii\n1 2 3\n").as_bytes()).unwrap().viewpoint
         };
         assert_eq!(of("VIEWPOINT 1 -2.5 3 1 0 0 0\r"), Some([1.0, -2.5, 3.0]));
         for line in ["VIEWPOINT 0 0 0 1 0 0 0", "VIEWPOINT 1 2", "VIEWPOINT 1 nan 0", "VIEWPOINT", ""] {
             assert_eq!(of(line), None, "{line}");
         }
-        assert_eq!(super::viewpoint(b"\xff\n"), None);
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! Reads PLY, ascii and binary.
 
-use crate::formats::ply_header::{AXES, Element, Header, Property, Role};
-use crate::formats::shape::{Position, Shape, add_polygon, check_left_over};
+use crate::formats::ply_header::{Element, Header};
+use crate::table::Table;
+use crate::table::scalar::Scalar;
+use crate::table::shape::{Position, Shape, add_polygon, check_left_over};
 use crate::text::lines::{Lines, advice, text};
 use crate::text::number::number;
 use snake_geometry::excerpt;
@@ -12,17 +14,10 @@ use snake_geometry::excerpt;
 /// Other properties and elements are ignored, whether or not their values fit their types. Faces that were not asked for
 /// may be damaged or cut short.
 pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
-    let (header, lines) = Header::parse(bytes, &AXES)?;
-    let mut payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
-    // Elements without properties take no bytes, so the file's length does not limit their number.
-    let elements: Vec<&Element> = header.elements.iter().filter(|element| !element.properties.is_empty()).collect();
-    let Some(vertex) = elements.iter().position(|element| element.name == "vertex") else {
-        let names: Vec<&str> = header.elements.iter().map(|element| element.name.as_str()).collect();
-        return Err(format!("no element `vertex`; the elements are {}", excerpt(&names.join(", "), 200)));
-    };
-    let (mut shape, mut position) = (Shape::default(), 0);
+    let (elements, vertex, mut payload) = open(bytes)?;
+    let (mut shape, mut num_read) = (Shape::default(), 0);
     for (index, element) in elements.iter().enumerate() {
-        position = index + 1;
+        num_read = index + 1;
         match element.name.as_str() {
             "vertex" => shape.points = payload.points(element)?,
             "face" if with_faces => payload.faces(element, &mut shape.triangles)?,
@@ -33,7 +28,7 @@ pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
             break;
         }
     }
-    payload.check_rest(&elements[position..], &shape.points)?;
+    payload.check_rest(&elements[num_read..], &shape.points)?;
     if !with_faces {
         let faces = elements.iter().filter(|element| matches!(element.name.as_str(), "face" | "tristrips"));
         shape.unread_faces = faces.map(|element| element.count).sum();
@@ -42,17 +37,26 @@ pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     Ok(shape)
 }
 
-/// Three properties of all vertices by name. One name can stand for all three; the first value is then meant.
-pub(crate) fn columns(bytes: &[u8], names: [&str; 3]) -> Result<Vec<Position>, String> {
-    let (header, lines) = Header::parse(bytes, &names)?;
-    let mut payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
-    for element in header.elements.iter().filter(|element| !element.properties.is_empty()) {
-        match element.name.as_str() {
-            "vertex" => return payload.points(element),
-            _ => payload.skip(element)?,
-        }
+/// The vertices with all their properties that are no lists.
+pub(crate) fn table(bytes: &[u8]) -> Result<Table<'_>, String> {
+    let (mut elements, vertex, mut payload) = open(bytes)?;
+    elements[..vertex].iter().try_for_each(|element| payload.skip(element))?;
+    let element = elements.swap_remove(vertex);
+    if let Some(table) = payload.take_table(&element) {
+        return table;
     }
-    Err("no element `vertex`".into())
+    let names = element.scalars().map(|(_, property)| property.name.clone()).collect();
+    Ok(Table::parsed(names, move |columns, found| payload.clone().rows(&element, columns, found)))
+}
+
+/// The elements with properties, the index of the vertices among them, and the data. Elements without properties take no
+/// bytes, so the file's length does not limit their number.
+fn open(bytes: &[u8]) -> Result<(Vec<Element>, usize, Payload<'_>), String> {
+    let (header, lines) = Header::parse(bytes)?;
+    let payload = if header.is_ascii { Payload::Ascii(lines) } else { Payload::Binary(lines.rest()) };
+    let elements: Vec<_> = header.elements.into_iter().filter(|element| !element.properties.is_empty()).collect();
+    let vertex = elements.iter().take_while(|element| element.name != "vertex").count();
+    Ok((elements, vertex, payload))
 }
 
 /// The data that is not yet read.
@@ -63,129 +67,122 @@ enum Payload<'a> {
 }
 
 impl<'a> Payload<'a> {
-    /// Reads a row and calls `found` with the values of the properties that have a use.
-    fn next(&mut self, element: &Element, mut found: impl FnMut(Role, f64)) -> Result<(), String> {
-        let name = || excerpt(&element.name, 40);
+    /// Reads a row and calls `found` with the values of the properties that `is_wanted`, and with their indices.
+    fn next(
+        &mut self,
+        element: &Element,
+        is_wanted: impl Fn(usize) -> bool,
+        found: impl FnMut(usize, f64),
+    ) -> Result<(), String> {
         match self {
             Self::Binary(data) => {
-                let mut values = |property: &Property| {
-                    let count = match property.length {
-                        Some(length) => list_length(length.decode(take(data, 1, length.size)?))?,
-                        None => 1,
-                    };
-                    let items = take(data, count, property.item.size)?.chunks_exact(property.item.size);
-                    if property.role != Role::Unused {
-                        items.for_each(|item| found(property.role, property.item.decode(item)));
-                    }
-                    Some(())
-                };
-                let whole = element.properties.iter().all(|property| values(property).is_some());
-                whole.then_some(()).ok_or_else(|| format!("cut short within the rows of `{}`", name()))
+                let value = |scalar: Scalar, _| Some(scalar.decode(take(data, 1, scalar.size)?));
+                read_row(element, value, is_wanted, found).ok_or_else(|| cut_short(element))
             }
             Self::Ascii(lines) => {
+                let name = || excerpt(&element.name, 40);
                 let (line_number, line) =
                     lines.next().ok_or_else(|| format!("the file ends before the last `{}`", name()))?;
                 let line = text(line);
                 let mut words = line.split_ascii_whitespace();
-                let mut values = |property: &Property| {
-                    let count = match property.length {
-                        Some(_) => list_length(number(words.next()?)?)?,
-                        None => 1,
-                    };
-                    for _ in 0..count {
-                        let word = words.next()?;
-                        if property.role != Role::Unused {
-                            found(property.role, number(word)?);
-                        }
-                    }
-                    Some(())
+                let value = |_, is_wanted| {
+                    let word = words.next()?;
+                    if is_wanted { number(word) } else { Some(f64::NAN) }
                 };
-                let whole = element.properties.iter().all(|property| values(property).is_some());
-                whole.then_some(()).ok_or_else(|| {
-                    format!(
-                        "line {line_number}: `{}` does not fit the properties of `{}`{}",
-                        excerpt(&line, 60),
-                        name(),
-                        advice(&line)
-                    )
+                read_row(element, value, is_wanted, found).ok_or_else(|| {
+                    let (row, advice) = (excerpt(&line, 60), advice(&line));
+                    format!("line {line_number}: `{row}` does not fit the properties of `{}`{advice}", name())
                 })
             }
         }
     }
 
+    /// Takes the rows of an element that has no lists from binary data.
+    fn take_table(&mut self, element: &Element) -> Option<Result<Table<'a>, String>> {
+        let (Self::Binary(data), Some(stride)) = (self, element.stride()) else { return None };
+        let Element { count, properties, .. } = element;
+        let table = |rows| {
+            let names = properties.iter().map(|property| property.name.clone()).collect();
+            Table::rows_of(names, rows, *count, properties.iter().map(|property| property.item))
+        };
+        Some(take(data, *count, stride).map(table).ok_or_else(|| cut_short(element)))
+    }
+
+    /// Takes the rows of an element and calls `found` with those of its scalars that are in `columns`.
+    fn rows(&mut self, element: &Element, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
+        let mut places = vec![None; element.properties.len()];
+        let scalars: Vec<usize> = element.scalars().map(|(index, _)| index).collect();
+        (0..).zip(columns).for_each(|(place, &column)| places[scalars[column]] = Some(place));
+        let mut row = vec![f64::NAN; columns.len()];
+        (0..element.count).try_for_each(|_| {
+            let set = |index: usize, value: f64| places[index].iter().for_each(|&place: &usize| row[place] = value);
+            self.next(element, |index| places[index].is_some(), set)?;
+            found(&row);
+            Ok(())
+        })
+    }
+
     fn points(&mut self, element: &Element) -> Result<Vec<Position>, String> {
-        if let (Self::Binary(data), Some(stride)) = (&mut *self, element.stride()) {
-            let rows = take(data, element.count, stride).ok_or("cut short within the rows of `vertex`")?;
-            let (mut axes, mut offset) = ([None; 3], 0);
-            for property in &element.properties {
-                if let Role::Axis(axis) = property.role {
-                    axes[axis] = Some((property.item, offset));
-                }
-                offset += property.item.size;
-            }
-            let value = |row: &[u8], axis: usize| {
-                axes[axis].map_or(f64::NAN, |(item, offset)| item.decode(&row[offset..offset + item.size]))
-            };
-            return Ok(rows.chunks_exact(stride).map(|row| std::array::from_fn(|axis| value(row, axis))).collect());
+        let axes = element.axes()?;
+        if let Some(table) = self.take_table(element) {
+            return table?.read(axes);
         }
         let mut points = Vec::with_capacity(element.count);
-        for _ in 0..element.count {
-            let mut point = [f64::NAN; 3];
-            self.next(element, |role, value| {
-                if let Role::Axis(axis) = role {
-                    point[axis] = value;
-                }
-            })?;
-            points.push(point);
-        }
+        self.rows(element, &axes, &mut |row| points.push([row[0], row[1], row[2]]))?;
         Ok(points)
     }
 
-    fn faces(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+    /// Calls `found` with the corners of each row.
+    fn corners(&mut self, element: &Element, mut found: impl FnMut(&[f64])) -> Result<(), String> {
         let mut corners = Vec::new();
-        for _ in 0..element.count {
+        (0..element.count).try_for_each(|_| {
             corners.clear();
-            self.next(element, |_, corner| corners.push(index(corner)))?;
-            add_polygon(triangles, &corners);
-        }
-        Ok(())
+            self.next(element, |index| element.properties[index].has_corners(), |_, corner| corners.push(corner))?;
+            found(&corners);
+            Ok(())
+        })
+    }
+
+    fn faces(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
+        let mut polygon = Vec::new();
+        self.corners(element, |corners| {
+            polygon.clear();
+            polygon.extend(corners.iter().map(|&corner| index(corner)));
+            add_polygon(triangles, &polygon);
+        })
     }
 
     /// Reads strips of triangles. Negative corners separate the strips of a list, and every second triangle of a strip is
     /// turned.
     fn strips(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
-        for _ in 0..element.count {
-            let mut corners = Vec::new();
-            self.next(element, |_, corner| corners.push(corner))?;
+        self.corners(element, |corners| {
             for strip in corners.split(|&corner| corner < 0.0) {
                 triangles.extend(strip.windows(3).enumerate().map(|(place, corners)| match place % 2 {
                     0 => [corners[0], corners[1], corners[2]].map(index),
                     _ => [corners[1], corners[0], corners[2]].map(index),
                 }));
             }
-        }
-        Ok(())
+        })
     }
 
     fn skip(&mut self, element: &Element) -> Result<(), String> {
-        match (&mut *self, element.stride()) {
-            (Self::Binary(data), Some(stride)) => {
-                let rows = take(data, element.count, stride).map(drop);
-                rows.ok_or_else(|| format!("cut short within the rows of `{}`", excerpt(&element.name, 40)))
-            }
-            _ => (0..element.count).try_for_each(|_| self.next(element, |_, _| ())),
+        match self.take_table(element) {
+            Some(table) => table.map(drop),
+            None => (0..element.count).try_for_each(|_| self.next(element, |_| false, |_, _| ())),
         }
     }
 
     /// Refuses data after the last element that shows that the header describes other data. The elements `unread` may be
     /// cut short, unless most faces have corners that are no vertices.
-    fn check_rest(mut self, unread: &[&Element], points: &[Position]) -> Result<(), String> {
+    fn check_rest(mut self, unread: &[Element], points: &[Position]) -> Result<(), String> {
         for element in unread {
             let (mut num_rows, mut num_bad, mut is_cut) = (0, 0, false);
             while num_rows < element.count && !is_cut {
                 let mut fits = true;
                 let is_last = matches!(&self, Self::Ascii(lines) if lines.clone().next().is_none());
-                let row = self.next(element, |_, corner| fits &= corner >= 0.0 && corner < points.len() as f64);
+                let is_corner = |corner: f64| corner >= 0.0 && corner < points.len() as f64;
+                let has_corners = |index: usize| element.properties[index].has_corners();
+                let row = self.next(element, has_corners, |_, corner| fits &= is_corner(corner));
                 is_cut = row.is_err();
                 num_bad += usize::from(!fits || is_cut && matches!(self, Self::Ascii(_)) && !is_last);
                 num_rows += 1;
@@ -210,6 +207,34 @@ impl<'a> Payload<'a> {
             }
         }
     }
+}
+
+/// Reads the values of a row. Those that are not wanted need not be numbers.
+#[inline]
+fn read_row(
+    element: &Element,
+    mut value: impl FnMut(Scalar, bool) -> Option<f64>,
+    is_wanted: impl Fn(usize) -> bool,
+    mut found: impl FnMut(usize, f64),
+) -> Option<()> {
+    for (index, property) in element.properties.iter().enumerate() {
+        let is_wanted = is_wanted(index);
+        let count = match property.length {
+            Some(length) => list_length(value(length, true)?)?,
+            None => 1,
+        };
+        for _ in 0..count {
+            let value = value(property.item, is_wanted)?;
+            if is_wanted {
+                found(index, value);
+            }
+        }
+    }
+    Some(())
+}
+
+fn cut_short(element: &Element) -> String {
+    format!("cut short within the rows of `{}`", excerpt(&element.name, 40))
 }
 
 /// Takes `count` items of `size` bytes from the beginning of the data.

@@ -1,11 +1,12 @@
 //! The header of a PLY file.
 
-use crate::arrays::dtype::Dtype;
+use crate::table::find;
+use crate::table::scalar::Scalar;
 use crate::text::lines::{Lines, text};
 use snake_geometry::excerpt;
 
 /// The names of a vertex's coordinates.
-pub(crate) const AXES: [&str; 3] = ["x", "y", "z"];
+const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Names of the property with the corners of a face or of strips of triangles.
 const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
@@ -25,22 +26,14 @@ pub(crate) struct Element {
 
 /// A number, or a list of numbers after its length.
 pub(crate) struct Property {
-    pub(crate) role: Role,
-    pub(crate) length: Option<Dtype>,
-    pub(crate) item: Dtype,
-}
-
-/// The use of a property.
-#[derive(Clone, Copy, PartialEq)]
-pub(crate) enum Role {
-    Axis(usize),
-    Corners,
-    Unused,
+    pub(crate) name: String,
+    pub(crate) length: Option<Scalar>,
+    pub(crate) item: Scalar,
 }
 
 impl Header {
-    /// Parses a header, in which the three values that are read of a vertex have these names. The rest of the lines is the data.
-    pub(crate) fn parse<'a>(bytes: &'a [u8], axes: &[&str; 3]) -> Result<(Self, Lines<'a>), String> {
+    /// Parses a header. The rest of the lines is the data.
+    pub(crate) fn parse(bytes: &[u8]) -> Result<(Self, Lines<'_>), String> {
         let mut lines = Lines::from_header(bytes);
         if lines.next().is_none_or(|(_, line)| !line.trim_ascii().eq_ignore_ascii_case(b"ply")) {
             return Err("not a PLY file: it does not begin with a line `ply`".into());
@@ -55,7 +48,7 @@ impl Header {
                 ["end_header"] => {
                     let order: &str = order.ok_or("header: no line `format`")?;
                     let elements =
-                        elements.into_iter().map(|element| element.typed(order, axes)).collect::<Result<_, _>>()?;
+                        elements.into_iter().map(|element| element.typed(order)).collect::<Result<_, _>>()?;
                     let header = Self { is_ascii: order.is_empty(), elements };
                     return header.checked(lines.rest().len()).map(|header| (header, lines));
                 }
@@ -92,12 +85,17 @@ impl Header {
                 return Err(format!("header: two elements `{name}` have the same name"));
             }
         }
+        let Some(vertex) = self.elements.iter().find(|element| element.name == "vertex") else {
+            let names: Vec<&str> = self.elements.iter().map(|element| element.name.as_str()).collect();
+            return Err(format!("no element `vertex`; the elements are {}", excerpt(&names.join(", "), 200)));
+        };
+        vertex.axes()?;
         for element in &self.elements {
-            let least: usize = element.properties.iter().map(|property| property.least_size(self.is_ascii)).sum();
+            let min: usize = element.properties.iter().map(|property| property.min_size(self.is_ascii)).sum();
             // The last line of an ascii file may lack its line feed.
-            if element.count.saturating_mul(least) > data_length.saturating_add(usize::from(self.is_ascii)) {
+            if element.count.saturating_mul(min) > data_length.saturating_add(usize::from(self.is_ascii)) {
                 let Element { name, count, .. } = element;
-                let reason = format!("header: {count} times element `{name}` takes at least {least} bytes each");
+                let reason = format!("header: {count} times element `{name}` takes at least {min} bytes each");
                 return Err(format!("{}, {data_length} bytes follow", excerpt(&reason, 160)));
             }
         }
@@ -110,12 +108,42 @@ impl Element {
     pub(crate) fn stride(&self) -> Option<usize> {
         self.properties.iter().map(|property| property.length.is_none().then_some(property.item.size)).sum()
     }
+
+    /// The properties that are numbers and no lists.
+    pub(crate) fn scalars(&self) -> impl Iterator<Item = (usize, &Property)> {
+        self.properties.iter().enumerate().filter(|(_, property)| property.length.is_none())
+    }
+
+    /// The place of x, y and z among the [`Element::scalars`] of a vertex. Some scanners write them in upper case.
+    pub(crate) fn axes(&self) -> Result<[usize; 3], String> {
+        let names: Vec<&str> = self.scalars().map(|(_, property)| property.name.as_str()).collect();
+        find(&names, AXES).map_err(|(axis, count)| match count {
+            0 => self.no_axis(axis),
+            _ => format!("header: two properties `{axis}` have the same name"),
+        })
+    }
+
+    fn no_axis(&self, axis: &str) -> String {
+        let names: Vec<&str> = self.properties.iter().map(|property| property.name.as_str()).collect();
+        let hint = if names.iter().any(|name| name.starts_with("packed_")) {
+            "; it holds packed splats, which splat-transform FILE.ply NEW.ply unpacks"
+        } else {
+            ""
+        };
+        let listed = excerpt(&names.join(", "), 200);
+        format!("header: element `vertex` has no scalar property `{axis}`, only {listed}{hint}")
+    }
 }
 
 impl Property {
+    /// Whether this is the list of the corners of a face.
+    pub(crate) fn has_corners(&self) -> bool {
+        self.length.is_some() && CORNERS.contains(&self.name.as_str())
+    }
+
     /// The fewest bytes of a property: a digit and a separator in ascii; the value, or the length of an empty list, in
     /// binary.
-    fn least_size(&self, is_ascii: bool) -> usize {
+    fn min_size(&self, is_ascii: bool) -> usize {
         if is_ascii { 2 } else { self.length.unwrap_or(self.item).size }
     }
 }
@@ -128,47 +156,15 @@ struct Declared {
 }
 
 impl Declared {
-    fn typed(self, order: &str, axes: &[&str; 3]) -> Result<Element, String> {
+    fn typed(self, order: &str) -> Result<Element, String> {
         let Self { name, count, properties } = self;
-        let is_vertex = name == "vertex";
-        // Some scanners write the axes in upper case.
-        let any_case = !properties.iter().any(|[_, _, name]| axes.contains(&name.as_str()));
-        let axis = |name: &str| {
-            let name = if any_case { name.to_ascii_lowercase() } else { name.into() };
-            axes.iter().position(|axis| is_vertex && name == *axis)
+        let typed = |[length, item, name]: [String; 3]| {
+            let scalar = |word: &str| scalar(word, order).ok_or_else(|| unknown_type(word, &name));
+            let length = if length.is_empty() { None } else { Some(scalar(&length)?) };
+            Ok(Property { length, item: scalar(&item)?, name })
         };
-        let typed = |[length, item, name]: &[String; 3]| {
-            let type_of = |word: &str| dtype(word, order).ok_or_else(|| unknown_type(word, name));
-            let role = match axis(name) {
-                Some(axis) if length.is_empty() => Role::Axis(axis),
-                _ if CORNERS.contains(&name.as_str()) && !length.is_empty() => Role::Corners,
-                _ => Role::Unused,
-            };
-            let length = if length.is_empty() { None } else { Some(type_of(length)?) };
-            Ok(Property { role, length, item: type_of(item)? })
-        };
-        let typed = properties.iter().map(typed).collect::<Result<Vec<_>, String>>()?;
-        for axis_name in axes.iter().filter(|_| is_vertex) {
-            // One name can stand for all three.
-            let axis = axis(axis_name).unwrap_or_default();
-            match typed.iter().filter(|property| property.role == Role::Axis(axis)).count() {
-                1 => {}
-                0 => return Err(no_axis(axis_name, &properties)),
-                _ => return Err(format!("header: two properties `{axis_name}` have the same name")),
-            }
-        }
-        Ok(Element { name, count, properties: typed })
+        Ok(Element { name, count, properties: properties.into_iter().map(typed).collect::<Result<_, String>>()? })
     }
-}
-
-fn no_axis(axis: &str, properties: &[[String; 3]]) -> String {
-    let names: Vec<&str> = properties.iter().map(|[_, _, name]| name.as_str()).collect();
-    let hint = if names.iter().any(|name| name.starts_with("packed_")) {
-        "; it holds packed splats, which splat-transform FILE.ply NEW.ply unpacks"
-    } else {
-        ""
-    };
-    format!("header: element `vertex` has no scalar property `{axis}`, only {}{hint}", excerpt(&names.join(", "), 200))
 }
 
 fn unknown_type(word: &str, property: &str) -> String {
@@ -176,9 +172,9 @@ fn unknown_type(word: &str, property: &str) -> String {
 }
 
 /// The type with this name, of the byte order `<` or `>`. Text has no byte order, and any type.
-fn dtype(name: &str, order: &str) -> Option<Dtype> {
+fn scalar(name: &str, order: &str) -> Option<Scalar> {
     let code = match name {
-        _ if order.is_empty() => return Dtype::parse("<f8"),
+        _ if order.is_empty() => return Scalar::parse("<f8"),
         "char" | "int8" => "i1",
         "uchar" | "uint8" => "u1",
         "short" | "int16" => "i2",
@@ -192,5 +188,5 @@ fn dtype(name: &str, order: &str) -> Option<Dtype> {
         "double" | "float64" => "f8",
         _ => return None,
     };
-    Dtype::parse(&format!("{order}{code}"))
+    Scalar::parse(&format!("{order}{code}"))
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::formats::shape::{Position, Shape};
+use crate::table::shape::{Position, Shape};
 use crate::text::lines::{Lines, no_position, text};
 use crate::text::number::number;
 

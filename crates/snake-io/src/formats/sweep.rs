@@ -1,7 +1,11 @@
 //! Sweeps of laser scanners as plain little-endian float32 values, as the data sets KITTI and nuScenes store them.
 
-use crate::format::PointFormat;
-use crate::formats::shape::{Position, Shape};
+use crate::table::Table;
+use crate::table::scalar::Scalar;
+use crate::table::shape::Shape;
+
+/// The values of a point in both data sets; further ones have no name.
+const NAMES: [&str; 4] = ["x", "y", "z", "intensity"];
 
 /// Numbers of values a point that files are checked for.
 const STRIDES: std::ops::RangeInclusive<usize> = 3..=12;
@@ -9,12 +13,17 @@ const STRIDES: std::ops::RangeInclusive<usize> = 3..=12;
 /// Values that are enough to find the number of values a point.
 const MAX_CHECKED: usize = 1 << 18;
 
-/// Reads x, y and z of points of `num_values` values each. The files have no header, so only their length is checked.
+/// Reads x, y and z of points of `num_values` values each.
 pub(crate) fn read(bytes: &[u8], num_values: usize) -> Result<Shape, String> {
+    Ok(table(bytes, num_values)?.read([0, 1, 2])?.into())
+}
+
+/// The values of points of `num_values` values each. The files have no header, so only their length is checked.
+pub(crate) fn table(bytes: &[u8], num_values: usize) -> Result<Table<'_>, String> {
     let size = 4 * num_values;
     if !bytes.len().is_multiple_of(size) {
         let fitting = STRIDES.filter(|values| bytes.len().is_multiple_of(4 * values));
-        let fitting: Vec<String> = fitting.map(|values| format!("--input-format kitti:{values}")).collect();
+        let fitting: Vec<String> = fitting.map(|values| format!("`format` kitti:{values}")).collect();
         let advice =
             if fitting.is_empty() { "cut short?".into() } else { format!("what fits is {}", fitting.join(", ")) };
         let length = bytes.len();
@@ -22,24 +31,8 @@ pub(crate) fn read(bytes: &[u8], num_values: usize) -> Result<Shape, String> {
             "{length} bytes are not a whole number of points of {num_values} float32 values; {advice}"
         ));
     }
-    let value = |point: &[u8], axis: usize| {
-        let (values, _) = point.as_chunks::<4>();
-        f64::from(f32::from_le_bytes(values[axis]))
-    };
-    let position = |point: &[u8]| -> Position { std::array::from_fn(|axis| value(point, axis)) };
-    Ok(bytes.chunks_exact(size).map(position).collect::<Vec<_>>().into())
-}
-
-/// The fourth value of each point, the intensity, if points of this format have one.
-pub(crate) fn intensity(bytes: &[u8], format: PointFormat) -> Option<Vec<f32>> {
-    let num_values = match format {
-        PointFormat::Nuscenes => 5,
-        PointFormat::Sweep(values) => values.into(),
-        _ => 4,
-    };
-    let (values, _) = bytes.as_chunks::<4>();
-    let fourth = values.chunks_exact(num_values).map(|point| point.get(3).map(|value| f32::from_le_bytes(*value)));
-    fourth.collect()
+    let names = (0..num_values).map(|value| NAMES.get(value).copied().unwrap_or_default().into()).collect();
+    Ok(Table::rows_of(names, bytes, bytes.len() / size, std::iter::repeat_n(Scalar::FLOAT, num_values)))
 }
 
 /// [`read`] if the content can have `num_values` values a point, which the name of the file only suggests.
@@ -51,12 +44,12 @@ pub(crate) fn read_checked(bytes: &[u8], num_values: usize) -> Result<Shape, Str
     if values.iter().filter(is_wild).count() * 4 > values.len() {
         return Err(format!(
             "the content is no float32 coordinates (float64, integers, or another format?); \
-             --input-format kitti:{num_values} reads it nevertheless"
+             `format` kitti:{num_values} reads it nevertheless"
         ));
     }
     if let Some(stride) = other_stride(&values, num_values) {
         return Err(format!(
-            "the content repeats every {stride} values and not every {num_values}: --input-format kitti:{stride} reads \
+            "the content repeats every {stride} values and not every {num_values}: `format` kitti:{stride} reads \
              points of {stride} float32 values (numpy.fromfile(FILE, \"<f4\").reshape(-1, {stride}) in Python), \
              kitti:{num_values} reads these {num_values} nevertheless"
         ));
@@ -128,7 +121,7 @@ mod tests {
             assert_eq!(format(path).unwrap(), PointFormat::Nuscenes, "{path}");
         }
         let error = format("scans/000000.bin").unwrap_err().to_string();
-        assert!(error.contains("--input-format kitti") && error.contains("nuscenes"), "{error}");
+        assert!(error.contains("`format` kitti") && error.contains("nuscenes"), "{error}");
     }
 
     #[test]

@@ -5,7 +5,6 @@
 
 pub(crate) mod copc;
 pub(crate) mod gps_time;
-pub(crate) mod keypoints;
 
 use std::io::{BufRead, Cursor, ErrorKind, Read, Seek, SeekFrom};
 
@@ -15,8 +14,8 @@ use laz::{DecompressionSelection, LazItem, LazItemType, LazVlr};
 
 use crate::MAX_EXPANSION;
 use crate::crs::Crs;
-use crate::formats::shape::{Position, Shape};
 use crate::las::gps_time::GpsTimes;
+use crate::table::shape::{Position, Shape};
 
 /// The size of the public header block of LAS 1.4, the longest.
 pub(crate) const HEADER_SIZE: u64 = 375;

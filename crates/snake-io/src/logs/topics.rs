@@ -24,7 +24,7 @@ pub(crate) fn chosen(topics: &[(String, String)], given: Option<&str>) -> Result
         },
         (None, [topic]) => Ok((*topic).to_owned()),
         (None, []) => Err(listed()),
-        (None, _) => Err(format!("which topic? {}; give one: --topic {}", listed(), clouds[0])),
+        (None, _) => Err(format!("which topic? {}; give one: `topic` {}", listed(), clouds[0])),
     }
 }
 

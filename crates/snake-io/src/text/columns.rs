@@ -151,7 +151,7 @@ pub(crate) fn cannot_tell(names: &[String]) -> String {
         return degrees(names);
     }
     format!(
-        "the header does not say which columns are x, y and z: choose them by names or numbers, as in --columns x,y,z. \
+        "the header does not say which columns are x, y and z: choose them by names or numbers, as in `columns` x,y,z. \
          The columns are {}",
         listed(names)
     )
@@ -161,7 +161,7 @@ pub(crate) fn cannot_tell(names: &[String]) -> String {
 fn degrees(names: &[String]) -> String {
     format!(
         "latitude and longitude are degrees and no lengths: project them to metres first, for example with cs2cs of PROJ, \
-         and choose the columns with --columns x,y,z. The columns are {}",
+         and choose the columns with `columns` x,y,z. The columns are {}",
         listed(names)
     )
 }
@@ -178,7 +178,7 @@ fn clean(name: &str) -> &str {
 }
 
 /// A name in lower case, without a unit in parentheses or brackets.
-fn plain(name: &str) -> String {
+pub(crate) fn plain(name: &str) -> String {
     let name = clean(name);
     name.split(['(', '[']).next().unwrap_or_default().trim_end().to_lowercase()
 }

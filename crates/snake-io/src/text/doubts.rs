@@ -1,6 +1,6 @@
 //! Reasons to refuse rows of text that can be read in two ways, and words for rows that cannot be read at all.
 
-use crate::formats::shape::Position;
+use crate::table::shape::Position;
 use crate::text::commas::{COMMAS, commas};
 use crate::text::header::Header;
 use crate::text::number::number;
@@ -25,8 +25,8 @@ pub(crate) fn check_first_column(points: &[Position], line: usize) -> Result<(),
     }
     let what = if is_time { "holds times" } else { "rises in equal steps like an index or a time" };
     Err(format!(
-        "line {line}: the first column {what}, and there is no header; choose the columns: --columns 2,3,4 without it, or \
-         --columns 1,2,3 if it is x"
+        "line {line}: the first column {what}, and there is no header; choose the columns: `columns` 2,3,4 without it, or \
+         `columns` 1,2,3 if it is x"
     ))
 }
 
@@ -62,7 +62,7 @@ impl DecimalCommas {
     pub(crate) fn check(&self) -> Result<(), String> {
         match self.digits {
             Some(digits) if !self.is_excluded && (self.has_leading_zero || digits.is_some()) => Err(format!(
-                "integers between commas that look like numbers with decimal commas: {COMMAS}; --columns 1,2,3 reads \
+                "integers between commas that look like numbers with decimal commas: {COMMAS}; `columns` 1,2,3 reads \
                  integers"
             )),
             _ => Ok(()),
@@ -84,7 +84,7 @@ pub(crate) fn explain(row: &str, names: &[String], separator: Separator) -> Stri
         return ": the header once more, as in files that were joined; remove this line".into();
     }
     if row.trim().parse::<u64>().is_ok() {
-        return ": a number of points? Several scans in one file are read as .pts (--input-format pts)".into();
+        return ": a number of points? Several scans in one file are read as .pts (`format` pts)".into();
     }
     match first_numbers(&fields) {
         Some(start @ 1..) => {
@@ -119,7 +119,7 @@ fn first_numbers(fields: &[&str]) -> Option<usize> {
 
 /// The option for three columns from this place, counted from 0.
 fn choice(start: usize) -> String {
-    format!("--columns {},{},{}", start + 1, start + 2, start + 3)
+    format!("`columns` {},{},{}", start + 1, start + 2, start + 3)
 }
 
 /// A number with its noun.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::formats::shape::Position;
+use crate::table::shape::Position;
 use crate::text::commas::commas;
 use crate::text::number::number;
 use snake_geometry::excerpt;
@@ -59,6 +59,7 @@ impl<'a> Lines<'a> {
     }
 
     /// The next line, which can be blank.
+    #[inline]
     fn next_line(&mut self) -> Option<&'a [u8]> {
         if self.rest.is_empty() {
             return None;
@@ -78,6 +79,7 @@ impl<'a> Lines<'a> {
 impl<'a> Iterator for Lines<'a> {
     type Item = (usize, &'a [u8]);
 
+    #[inline]
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             let line = self.next_line()?;
@@ -101,6 +103,7 @@ fn is_utf_16(bytes: &[u8]) -> bool {
 
 /// A line as text. Bytes that are not UTF-8 are taken for Latin-1. Spaces and minus signs outside ASCII become those of
 /// ASCII.
+#[inline]
 pub(crate) fn text(line: &[u8]) -> Cow<'_, str> {
     let plain = |c: char| match c {
         '\u{2212}' | '\u{2012}' | '\u{2013}' => '-',

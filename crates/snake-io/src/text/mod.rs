@@ -10,7 +10,8 @@ pub(crate) mod separator;
 
 use std::io::{self, Write};
 
-use crate::formats::shape::{Position, Shape};
+use crate::table::Table;
+use crate::table::shape::Shape;
 use crate::text::columns::{Columns, Indices};
 use crate::text::commas::COMMAS;
 use crate::text::doubts::{DecimalCommas, count};
@@ -32,12 +33,20 @@ const MAX_TITLE_LINES: usize = 20;
 ///
 /// Rows that can be read in two ways are refused, unless the columns are chosen by numbers.
 pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
-    Ok(read_rows(bytes, columns, false)?.into())
+    Text::open(bytes, columns, false)?.positions(columns)
 }
 
 /// Reads the same columns from a file that may hold several scans, with a line with its number of points above each.
 pub(crate) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
-    Ok(read_rows(bytes, columns, true)?.into())
+    Text::open(bytes, columns, true)?.positions(columns)
+}
+
+/// The columns that a header names, with their names in lower case and without units.
+pub(crate) fn table(bytes: &[u8]) -> Result<Table<'_>, String> {
+    let text = Text::open(bytes, None, false)?;
+    let header = text.layout.as_ref().and_then(|layout| layout.header.as_ref()).or(text.header.as_ref());
+    let names = header.iter().flat_map(|header| &header.names).map(|name| columns::plain(name)).collect();
+    Ok(Table::parsed(names, move |columns, found| text.rows(columns, found)))
 }
 
 /// Four rows of four numbers, if a text consists of them.
@@ -58,60 +67,99 @@ pub(crate) fn write_rows(out: &mut dyn Write, transform: &RigidTransform) -> io:
     Ok(())
 }
 
-fn read_rows(bytes: &[u8], columns: Option<&Columns>, in_blocks: bool) -> Result<Vec<Position>, String> {
-    let mut lines = Lines::from_text(bytes)?;
-    let mut above = Above { columns, comments: Vec::new(), header: None };
-    let (mut layout, mut blocks): (Option<Layout>, _) = (None, Blocks::default());
-    let (mut points, mut decimal_commas, mut first_line) = (Vec::new(), DecimalCommas::default(), 0);
-    while let Some((number, line)) = lines.next() {
-        if is_comment(line) {
+/// A text whose lines above the points are read.
+struct Text<'a> {
+    bytes: &'a [u8],
+    /// The lines from the first row on, and its number.
+    lines: Lines<'a>,
+    first_line: usize,
+    blocks: Blocks,
+    /// The layout of the rows, if there are any; else the header.
+    layout: Option<Layout>,
+    header: Option<Header>,
+}
+
+impl<'a> Text<'a> {
+    fn open(bytes: &'a [u8], columns: Option<&Columns>, in_blocks: bool) -> Result<Self, String> {
+        let mut lines = Lines::from_text(bytes)?;
+        let mut above = Above { columns, comments: Vec::new(), header: None };
+        let mut blocks = Blocks { in_blocks, ..Blocks::default() };
+        loop {
+            let from_here = lines.clone();
+            let Some((first_line, line)) = lines.next() else { break };
             // Any comment above the points can be the header.
-            if layout.is_none() {
+            if is_comment(line) {
                 above.comments.push(line);
+                continue;
             }
-            continue;
-        }
-        let line = text(line);
-        let row = without_brackets(&line);
-        // The last bracket of an array stands alone.
-        if row.is_empty() {
-            continue;
-        }
-        if blocks.begins(row, number, points.len(), above.header.is_none() && layout.is_none(), in_blocks)? {
-            continue;
-        }
-        let layout = match &mut layout {
-            Some(layout) => layout,
-            None if above.is_heading(row, &lines) => continue,
-            none => {
-                first_line = number;
-                none.insert(above.layout(row).map_err(|reason| format!("line {number}: {reason}"))?)
+            let line = text(line);
+            let row = without_brackets(&line);
+            let is_count = !row.is_empty() && blocks.begins(row, first_line, 0, above.header.is_none());
+            if row.is_empty() || is_count || above.is_heading(row, &lines) {
+                continue;
             }
-        };
-        points.push(layout.point(number, row)?);
-        if layout.is_guessed() && layout.separator == Separator::Char(b',') && !decimal_commas.is_excluded() {
-            decimal_commas.add(layout.separator.fields(row));
+            let layout = above.layout(row).map_err(|reason| format!("line {first_line}: {reason}"))?;
+            return Ok(Self { bytes, lines: from_here, first_line, blocks, layout: Some(layout), header: None });
+        }
+        blocks.check(0)?;
+        match above.header {
+            Some(header) if !header.tells(columns) => {
+                Err(format!("no points below `{}`", excerpt(&header.names.join(" "), 60)))
+            }
+            header => Ok(Self { bytes, lines, first_line: 0, blocks, layout: None, header }),
         }
     }
-    blocks.check(points.len())?;
-    if let Some(header) = above.header.filter(|header| layout.is_none() && !header.tells(columns)) {
-        return Err(format!("no points below `{}`", excerpt(&header.names.join(" "), 60)));
-    }
-    if let Some(layout) = layout.filter(Layout::is_guessed) {
-        decimal_commas.check()?;
-        if layout.width > 3 {
-            doubts::check_first_column(&points, first_line)?;
+
+    /// The points in the chosen columns, else in the known ones.
+    fn positions(&self, columns: Option<&Columns>) -> Result<Shape, String> {
+        let mut points = Vec::new();
+        let Some(layout) = &self.layout else { return Ok(points.into()) };
+        let indices = layout.positions(columns).map_err(|reason| format!("line {}: {reason}", self.first_line))?;
+        self.rows(&indices, &mut |row| points.push([row[0], row[1], row[2]]))?;
+        if layout.is_guessed() {
+            if layout.width > 3 {
+                doubts::check_first_column(&points, self.first_line)?;
+            }
+            if points.len() == 4 && matrix(self.bytes).is_some_and(|rows| rows[3] == [0.0, 0.0, 0.0, 1.0]) {
+                return Err(
+                    "the 4 x 4 matrix of a transform and no cloud; a registration takes it as the option `initial`"
+                        .into(),
+                );
+            }
         }
-        if points.len() == 4 && matrix(bytes).is_some_and(|rows| rows[3] == [0.0, 0.0, 0.0, 1.0]) {
-            return Err("the 4 x 4 matrix of a transform and no cloud; `register --initial` takes it".into());
-        }
+        Ok(points.into())
     }
-    Ok(points)
+
+    /// Calls `found` with the numbers of each row in these columns.
+    fn rows(&self, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
+        let Some(layout) = &self.layout else { return Ok(()) };
+        let (mut separator, mut blocks) = (layout.separator, self.blocks);
+        let (mut values, mut num_rows, mut decimal_commas) =
+            (vec![f64::NAN; columns.len()], 0, DecimalCommas::default());
+        for (number, line) in self.lines.clone().filter(|(_, line)| !is_comment(line)) {
+            let line = text(line);
+            let row = without_brackets(&line);
+            // The last bracket of an array stands alone.
+            if row.is_empty() || blocks.begins(row, number, num_rows, false) {
+                continue;
+            }
+            layout.read(number, row, &mut separator, columns, &mut values)?;
+            found(&values);
+            num_rows += 1;
+            if layout.is_guessed() && separator == Separator::Char(b',') && !decimal_commas.is_excluded() {
+                decimal_commas.add(separator.fields(row));
+            }
+        }
+        blocks.check(num_rows)?;
+        decimal_commas.check()
+    }
 }
 
 /// Lines with numbers of points, above all points or above each scan.
-#[derive(Default)]
+#[derive(Clone, Copy, Default)]
 struct Blocks {
+    /// Whether each scan may have such a line.
+    in_blocks: bool,
     /// The number of the last such line and the number of points that it promises.
     promised: Option<(usize, u64)>,
     /// The number of points above that line.
@@ -121,23 +169,16 @@ struct Blocks {
 impl Blocks {
     /// Whether a line is the number of the points that follow: the first line, or with `in_blocks` the line after the
     /// last point of a scan.
-    fn begins(
-        &mut self,
-        row: &str,
-        line: usize,
-        num_points: usize,
-        is_first: bool,
-        in_blocks: bool,
-    ) -> Result<bool, String> {
+    fn begins(&mut self, row: &str, line: usize, num_points: usize, is_first: bool) -> bool {
         let is_next = match self.promised {
             None => is_first,
-            Some((_, count)) => in_blocks && count == (num_points - self.above) as u64,
+            Some((_, count)) => self.in_blocks && count == (num_points - self.above) as u64,
         };
         let count = is_next.then(|| row.trim().parse().ok()).flatten();
         if let Some(count) = count {
             (self.promised, self.above) = (Some((line, count)), num_points);
         }
-        Ok(count.is_some())
+        count.is_some()
     }
 
     fn check(&self, num_points: usize) -> Result<(), String> {
@@ -180,7 +221,7 @@ impl Above<'_> {
         true
     }
 
-    /// The layout by the header, the comments above the first row and the chosen columns.
+    /// The layout of the first row by the header and the comments above it.
     fn layout(&mut self, row: &str) -> Result<Layout, String> {
         let mut header = match self.header.take() {
             None => Header::among(&self.comments, row, self.columns)?,
@@ -190,19 +231,12 @@ impl Above<'_> {
             header.name_index(row);
         }
         let names = header.as_ref().map_or(&[][..], |header| &header.names);
-        let indices = match self.columns {
-            Some(columns) => columns.in_text(names)?,
-            None if header.is_none() => [0, 1, 2],
-            None => columns::known(names).ok_or_else(|| {
-                if names.len() < 3 { doubts::no_header(names, row) } else { columns::cannot_tell(names) }
-            })?,
-        };
         let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
         let known: &[u8] = if has_tabs { b"\t" } else { b";,|" };
         let separator = Separator::of(row, known);
         let width = if names.is_empty() { separator.fields(row).count() } else { names.len() };
         Ok(Layout {
-            columns: indices,
+            first_row: row.into(),
             is_chosen: self.columns.is_some_and(Columns::are_numbers),
             known,
             separator,
@@ -213,15 +247,15 @@ impl Above<'_> {
     }
 }
 
-/// The positions of the coordinates in a row.
+/// The columns of the rows.
 struct Layout {
-    columns: Indices,
+    first_row: String,
     /// Whether the columns are chosen by numbers.
     is_chosen: bool,
     header: Option<Header>,
     /// The separators that a row may have.
     known: &'static [u8],
-    /// The separator of the last row.
+    /// The separator of the first row.
     separator: Separator,
     /// The number of columns in the header, or without one in the first row.
     width: usize,
@@ -235,45 +269,49 @@ impl Layout {
         self.header.is_none() && !self.is_chosen
     }
 
-    fn point(&mut self, number: usize, row: &str) -> Result<Position, String> {
-        if let Some((point, width)) = self.parse(row)
-            && width == self.width
-        {
-            return Ok(point);
+    /// The columns of x, y and z.
+    fn positions(&self, columns: Option<&Columns>) -> Result<Indices, String> {
+        let names = self.names();
+        match columns {
+            Some(columns) => columns.in_text(names),
+            None if self.header.is_none() => Ok([0, 1, 2]),
+            None => columns::known(names).ok_or_else(|| {
+                if names.len() < 3 { doubts::no_header(names, &self.first_row) } else { columns::cannot_tell(names) }
+            }),
         }
-        self.separator = Separator::of(row, self.known);
-        let parsed = self.parse(row);
-        let explain = || no_position(number, row) + &doubts::explain(row, self.names(), self.separator);
-        let (point, width) = parsed.ok_or_else(explain)?;
+    }
+
+    /// Reads the numbers of a row in these columns. `separator` is that of the row before.
+    fn read(
+        &self,
+        number: usize,
+        row: &str,
+        separator: &mut Separator,
+        columns: &[usize],
+        values: &mut [f64],
+    ) -> Result<(), String> {
+        if parse(row, *separator, columns, values) == Some(self.width) {
+            return Ok(());
+        }
+        *separator = Separator::of(row, self.known);
+        let explain = || no_position(number, row) + &doubts::explain(row, self.names(), *separator);
+        let width = parse(row, *separator, columns, values).ok_or_else(explain)?;
         if width != self.width && !self.is_chosen {
-            self.check_width(row, width).map_err(|reason| {
+            self.check_width(row, *separator, width).map_err(|reason| {
                 let shown = excerpt(row, 60);
                 format!(
                     "line {number}: {reason} in `{shown}`; are these decimal commas, or an index? Choose the columns by \
-                     numbers, as in --columns 1,2,3, or {COMMAS}"
+                     numbers, as in `columns` 1,2,3, or {COMMAS}"
                 )
             })?;
         }
-        Ok(point)
-    }
-
-    /// The point and the number of columns in a row.
-    fn parse(&self, row: &str) -> Option<(Position, usize)> {
-        let (mut point, mut width) = ([None; 3], 0);
-        for (column, field) in self.separator.fields(row).enumerate() {
-            if let Some(axis) = self.columns.iter().position(|&c| c == column) {
-                point[axis] = Some(cell(field)?);
-            }
-            width = column + 1;
-        }
-        let [Some(x), Some(y), Some(z)] = point else { return None };
-        Some(([x, y, z], width))
+        Ok(())
     }
 
     /// Refuses a row whose number of columns shows that its columns are not those of the header or of the first row.
-    fn check_width(&self, row: &str, width: usize) -> Result<(), String> {
+    fn check_width(&self, row: &str, separator: Separator, width: usize) -> Result<(), String> {
         let Some(header) = &self.header else {
-            let numbers = leading_numbers(row, self.separator);
+            let numbers = leading_numbers(row, separator);
             return if numbers == self.num_numbers {
                 Ok(())
             } else {
@@ -281,8 +319,8 @@ impl Layout {
             };
         };
         let is_number = |field: &str| number(field).is_some();
-        let has_more = self.separator.fields(row).skip(self.width).any(is_number) && !header.is_open;
-        let has_less = width < self.width && self.separator == Separator::WhiteSpace;
+        let has_more = separator.fields(row).skip(self.width).any(is_number) && !header.is_open;
+        let has_less = width < self.width && separator == Separator::WhiteSpace;
         if has_more || has_less {
             Err(format!("{} below {}", count(width, "column"), count(self.width, "name")))
         } else {
@@ -293,6 +331,19 @@ impl Layout {
     fn names(&self) -> &[String] {
         self.header.as_ref().map_or(&[], |header| &header.names)
     }
+}
+
+/// Reads the numbers in these columns of a row, and returns its number of columns.
+fn parse(row: &str, separator: Separator, columns: &[usize], values: &mut [f64]) -> Option<usize> {
+    let (mut width, mut num_values) = (0, 0);
+    for (column, field) in separator.fields(row).enumerate() {
+        if let Some(place) = columns.iter().position(|&c| c == column) {
+            values[place] = cell(field)?;
+            num_values += 1;
+        }
+        width = column + 1;
+    }
+    (num_values == columns.len()).then_some(width)
 }
 
 /// The number of columns before the first one that is no number.
@@ -386,7 +437,7 @@ mod tests {
             "Velocity:0,Velocity:1,Velocity:2\n1,2,3\n",
         ] {
             let reason = read(text.as_bytes()).unwrap_err();
-            assert!(reason.contains("--columns x,y,z"), "{reason}");
+            assert!(reason.contains("`columns` x,y,z"), "{reason}");
         }
         let reason = read(b"intensity,ring,range (mm)\n1,2,3\n").unwrap_err();
         assert!(reason.ends_with("The columns are 1 `intensity`, 2 `ring`, 3 `range (mm)`"), "{reason}");

@@ -2,11 +2,13 @@
 
 /// A number: what Rust parses (`+1.0`, `.5`, `5.`, `1e-3`, `nan`, `-inf`), with the exponents of Fortran (`1.0D+00`) and
 /// the infinities and NaNs of Windows (`1.#INF`, `-1.#IND`, `1.#QNAN00`, `-nan(ind)`).
+#[inline]
 pub(crate) fn number(word: &str) -> Option<f64> {
     word.parse().ok().or_else(|| unusual(word))
 }
 
 /// A number, or NaN where a cell of a table says that there is none.
+#[inline]
 pub(crate) fn cell(word: &str) -> Option<f64> {
     number(word).or_else(|| is_missing(word).then_some(f64::NAN))
 }

@@ -4,8 +4,9 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use crate::format::{extension, unknown_extension};
+use crate::table::scalar::Scalar;
 use crate::write::axes;
-use crate::write::table::Kind;
+use crate::write::ply::{self, Row};
 use crate::{Error, Result, write_atomically};
 use snake_geometry::{Mesh, add_origin};
 
@@ -15,23 +16,17 @@ pub const MESH_EXTENSIONS: &[&str] = &["ply", "obj", "stl"];
 /// Writes binary little-endian PLY: vertices `x y z` (eight bytes each with an origin) and `float nx ny nz`, and faces
 /// as lists of three `int`.
 pub(crate) fn write_ply(out: &mut dyn Write, mesh: &Mesh, origin: [f64; 3]) -> io::Result<()> {
-    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.vertices.len())?;
-    let axes = axes(origin);
-    for (name, kind) in axes.into_iter().chain(["nx", "ny", "nz"].map(|name| (name, Kind::Float))) {
-        writeln!(out, "property {} {name}", kind.in_ply())?;
+    let columns = [&axes(origin)[..], &["nx", "ny", "nz"].map(|name| (name, Scalar::FLOAT))].concat();
+    let vertex = ply::element("vertex", mesh.vertices.len(), &columns);
+    let face = ply::face(mesh.triangles.len());
+    ply::write_header(out, [&vertex, &face])?;
+    for (&position, normal) in mesh.vertices.iter().zip(&mesh.normals) {
+        let [[x, y, z], [nx, ny, nz]] = [add_origin(position, origin), normal.map(f64::from)];
+        Row { columns: &columns, values: &[x, y, z, nx, ny, nz], ..Row::default() }.write(out, &vertex)?;
     }
-    writeln!(out, "element face {}", mesh.triangles.len())?;
-    write!(out, "property list uchar int vertex_indices\nend_header\n")?;
-    for (&vertex, normal) in mesh.vertices.iter().zip(&mesh.normals) {
-        let position = add_origin(vertex, origin);
-        axes.iter().zip(position).try_for_each(|((_, kind), value)| kind.write(out, value))?;
-        write_floats(out, normal)?;
-    }
-    for triangle in &mesh.triangles {
-        out.write_all(&[3])?;
-        triangle.iter().try_for_each(|vertex| out.write_all(&vertex.to_le_bytes()))?;
-    }
-    Ok(())
+    mesh.triangles.iter().try_for_each(|triangle| {
+        Row { corners: &triangle.map(|corner| corner as i32), ..Row::default() }.write(out, &face)
+    })
 }
 
 /// Writes OBJ: vertices, normals, and faces that refer to both.

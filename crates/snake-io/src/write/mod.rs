@@ -2,17 +2,21 @@
 
 pub(crate) mod json;
 pub(crate) mod keypoint_source;
+#[cfg(feature = "laz")]
+mod laz;
 pub(crate) mod mesh;
 #[cfg(feature = "parquet")]
 pub(crate) mod parquet;
-pub(crate) mod table;
+mod ply;
+mod rows;
 
 use std::io::{self, Write};
 use std::path::Path;
 
 use crate::format::{CloudFormat, KeypointFormat, extension};
+use crate::table::scalar::Scalar;
 use crate::write::keypoint_source::KeypointSource;
-use crate::write::table::{Column, Kind, Table};
+use crate::write::rows::{Column, Rows};
 use crate::{Attributes, Error, Result, write_atomically};
 use snake_geometry::{Keypoint, Point, add_origin};
 
@@ -22,47 +26,34 @@ impl KeypointFormat {
     /// # Errors
     /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
     pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
-        let [x, y, z] = axes(source.origin);
-        let [saliency, occupancy, confidence] = ["saliency", "occupancy", "confidence"].map(|name| (name, Kind::Float));
-        let index = ("nearest_index", Kind::Int);
-        let position = |keypoint: &Keypoint| add_origin(keypoint.position, source.origin);
-        let values = |k: &Keypoint| {
-            [k.saliency.into(), k.occupancy.into(), k.nearest_index as f64, k.confidence.unwrap_or(f32::NAN).into()]
+        let (origin, colors) = match self {
+            Self::Ply => (Some(source.origin), &COLORS[..]),
+            Self::Pcd => (None, &PACKED[..]),
+            _ => (Some(source.origin), &[][..]),
         };
-        let num_rows = keypoints.len();
+        let row = |keypoint: &Keypoint| {
+            let &Keypoint { position, saliency, occupancy, nearest_index, confidence } = keypoint;
+            let mut row = with_origin(position, origin).to_vec();
+            row.extend(color_values(colors, color(saliency)));
+            row.extend([
+                saliency.into(),
+                occupancy.into(),
+                nearest_index as f64,
+                confidence.unwrap_or(f32::NAN).into(),
+            ]);
+            row
+        };
+        let columns = [&axes(origin.unwrap_or_default())[..], colors, &VALUES].concat();
+        let rows = Rows { columns, num_rows: keypoints.len(), rows: keypoints.iter().map(row) };
         match self {
-            Self::Ply => {
-                let [red, green, blue] = ["red", "green", "blue"].map(|name| (name, Kind::Byte));
-                let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
-                    let [red, green, blue] = color(keypoint.saliency).map(f64::from);
-                    [x, y, z, red, green, blue, saliency, occupancy, index, confidence]
-                });
-                let columns = [x, y, z, red, green, blue, saliency, occupancy, index, confidence];
-                Table { columns, num_rows, rows }.write_ply(out)
-            }
-            Self::Pcd => {
-                let [x, y, z] = axes([0.0; 3]);
-                let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index, confidence]) =
-                        (keypoint.position.map(f64::from), values(keypoint));
-                    [x, y, z, packed(color(keypoint.saliency)), saliency, occupancy, index, confidence]
-                });
-                let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index, confidence];
-                Table { columns, num_rows, rows }.write_pcd(out, source.origin)
-            }
-            Self::Npy | Self::Csv => {
-                let rows = keypoints.iter().map(|keypoint| {
-                    let ([x, y, z], [saliency, occupancy, index, confidence]) = (position(keypoint), values(keypoint));
-                    [x, y, z, saliency, occupancy, index, confidence]
-                });
-                let table = Table { columns: [x, y, z, saliency, occupancy, index, confidence], num_rows, rows };
-                if self == Self::Npy { table.write_npy(out) } else { table.write_csv(out) }
-            }
+            Self::Ply => rows.write_ply(out),
+            Self::Pcd => rows.write_pcd(out, source.origin),
+            Self::Npy => rows.write_npy(out),
+            Self::Csv => rows.write_csv(out),
             Self::Json => json::write(out, keypoints, source.origin),
             Self::KeypointNet => json::write_keypointnet(out, keypoints, source),
             #[cfg(feature = "laz")]
-            Self::Laz => crate::las::keypoints::write(out, keypoints, source),
+            Self::Laz => laz::write(out, keypoints, source),
             #[cfg(feature = "parquet")]
             Self::Parquet => parquet::write(out, keypoints, source),
         }
@@ -82,51 +73,59 @@ impl CloudFormat {
         attributes: &Attributes,
         origin: [f64; 3],
     ) -> io::Result<()> {
-        let num_rows = points.len();
-        let positions = points.iter().map(|&point| add_origin(point, origin));
-        match self {
-            Self::Npy => Table { columns: axes(origin), num_rows, rows: positions }.write_npy(out),
-            Self::Xyz => Table { columns: axes(origin), num_rows, rows: positions }.write_lines(out, " "),
-            Self::Ply | Self::Csv => {
-                let columns = [&axes(origin)[..], &self.attribute_columns(attributes)].concat();
-                let rows = positions.enumerate().map(|(index, position)| self.row(position, attributes, index));
-                let table = Table { columns, num_rows, rows };
-                if self == Self::Ply { table.write_ply(out) } else { table.write_csv(out) }
-            }
-            Self::Pcd => {
-                let columns = [&axes([0.0; 3])[..], &self.attribute_columns(attributes)].concat();
-                let near = points.iter().map(|point| point.map(f64::from)).enumerate();
-                let rows = near.map(|(index, position)| self.row(position, attributes, index));
-                Table { columns, num_rows, rows }.write_pcd(out, origin)
-            }
-        }
-    }
-
-    /// The columns after the coordinates.
-    fn attribute_columns(self, attributes: &Attributes) -> Vec<Column> {
-        let Attributes { colors, intensity, normals } = attributes;
-        let (normal_names, color_columns): ([&str; 3], &[Column]) = match self {
-            Self::Pcd => (["normal_x", "normal_y", "normal_z"], &[("rgb", Kind::Float)]),
-            _ => (["nx", "ny", "nz"], &[("red", Kind::Byte), ("green", Kind::Byte), ("blue", Kind::Byte)]),
+        let Attributes { colors, intensity, normals } = match self {
+            Self::Npy | Self::Xyz => &Attributes::default(),
+            Self::Ply | Self::Pcd | Self::Csv => attributes,
         };
-        let normal_columns = normals.iter().flat_map(|_| normal_names.map(|name| (name, Kind::Float)));
-        let color_columns = colors.iter().flat_map(|_| color_columns.iter().copied());
-        normal_columns.chain(color_columns).chain(intensity.iter().map(|_| ("intensity", Kind::Float))).collect()
-    }
-
-    /// The values of a point, in the order of the columns.
-    fn row(self, position: [f64; 3], attributes: &Attributes, index: usize) -> Vec<f64> {
-        let Attributes { colors, intensity, normals } = attributes;
-        let mut row = position.to_vec();
-        row.extend(normals.iter().flat_map(|normals| normals[index].map(f64::from)));
-        match colors.as_ref().map(|colors| colors[index]) {
-            Some(color) if self == Self::Pcd => row.push(packed(color)),
-            Some(color) => row.extend(color.map(f64::from)),
-            None => (),
+        let (added, normal_names, all_colors) = match self {
+            Self::Pcd => (None, ["normal_x", "normal_y", "normal_z"], &PACKED[..]),
+            _ => (Some(origin), ["nx", "ny", "nz"], &COLORS[..]),
+        };
+        let mut columns = axes(added.unwrap_or_default()).to_vec();
+        columns.extend(normals.iter().flat_map(|_| normal_names.map(|name| (name, Scalar::FLOAT))));
+        columns.extend(colors.iter().flat_map(|_| all_colors));
+        columns.extend(intensity.iter().map(|_| ("intensity", Scalar::FLOAT)));
+        let row = |(index, &point): (usize, &Point)| {
+            let mut row = with_origin(point, added).to_vec();
+            row.extend(normals.iter().flat_map(|normals| normals[index].map(f64::from)));
+            row.extend(colors.iter().flat_map(|colors| color_values(all_colors, colors[index])));
+            row.extend(intensity.iter().map(|intensity| f64::from(intensity[index])));
+            row
+        };
+        let rows = Rows { columns, num_rows: points.len(), rows: points.iter().enumerate().map(row) };
+        match self {
+            Self::Ply => rows.write_ply(out),
+            Self::Pcd => rows.write_pcd(out, origin),
+            Self::Npy => rows.write_npy(out),
+            Self::Xyz => rows.write_lines(out, " "),
+            Self::Csv => rows.write_csv(out),
         }
-        row.extend(intensity.iter().map(|intensity| f64::from(intensity[index])));
-        row
     }
+}
+
+/// The columns of a keypoint after its position and colour.
+const VALUES: [Column; 4] = [
+    ("saliency", Scalar::FLOAT),
+    ("occupancy", Scalar::FLOAT),
+    ("nearest_index", Scalar::INT),
+    ("confidence", Scalar::FLOAT),
+];
+const COLORS: [Column; 3] = [("red", Scalar::BYTE), ("green", Scalar::BYTE), ("blue", Scalar::BYTE)];
+/// A colour in the bits of a float.
+const PACKED: [Column; 1] = [("rgb", Scalar::FLOAT)];
+
+/// A colour in these columns, [`COLORS`], [`PACKED`] or none.
+fn color_values(columns: &[Column], color: [u8; 3]) -> Vec<f64> {
+    match columns.len() {
+        0 => Vec::new(),
+        1 => vec![packed(color)],
+        _ => color.map(f64::from).into(),
+    }
+}
+
+/// The position in the file's frame.
+fn with_origin(point: Point, origin: Option<[f64; 3]>) -> [f64; 3] {
+    origin.map_or(point.map(f64::from), |origin| add_origin(point, origin))
 }
 
 /// A colour as PCL stores it: its bytes are the bits of a float.
@@ -135,9 +134,9 @@ fn packed([red, green, blue]: [u8; 3]) -> f64 {
 }
 
 /// The columns of the coordinates. Coordinates with an origin need eight bytes.
-pub(crate) fn axes(origin: [f64; 3]) -> [(&'static str, Kind); 3] {
-    let kind = if origin == [0.0; 3] { Kind::Float } else { Kind::Double };
-    ["x", "y", "z"].map(|axis| (axis, kind))
+pub(crate) fn axes(origin: [f64; 3]) -> [Column; 3] {
+    let scalar = if origin == [0.0; 3] { Scalar::FLOAT } else { Scalar::DOUBLE };
+    ["x", "y", "z"].map(|axis| (axis, scalar))
 }
 
 /// The colour of a saliency, from violet at 0 through green to yellow at 1 (five colours of viridis).

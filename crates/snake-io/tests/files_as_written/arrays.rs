@@ -59,16 +59,16 @@ fn sweeps_with_other_numbers_of_values() {
     }
     for values in [3, 5, 6, 8] {
         let expected: &str = match values {
-            3 => "--input-format kitti:3",
-            5 => "--input-format kitti:5",
-            6 => "--input-format kitti:6",
-            _ => "--input-format kitti:8",
+            3 => "`format` kitti:3",
+            5 => "`format` kitti:5",
+            6 => "`format` kitti:6",
+            _ => "`format` kitti:8",
         };
         assert_refused("kitti", [(sweep(values), expected)]);
         assert_eq!(read("kitti:4", &sweep(values)).unwrap().len(), 600 * values);
     }
-    assert_refused("nuscenes", [(sweep(4), "--input-format kitti:4")]);
-    assert_refused("kitti:4", [(sweep(5)[..20 * 2399].to_vec(), "what fits is --input-format kitti:5")]);
+    assert_refused("nuscenes", [(sweep(4), "`format` kitti:4")]);
+    assert_refused("kitti:4", [(sweep(5)[..20 * 2399].to_vec(), "what fits is `format` kitti:5")]);
     let doubles: Vec<u8> = POINTS
         .as_flattened()
         .iter()

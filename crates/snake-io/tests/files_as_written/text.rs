@@ -122,7 +122,7 @@ fn lines_above_the_points() {
         [format!("2\n{first}4\n{rest}"), rows(" ", " -1204 255 0 0\n"), format!("  6  \n{}", rows(" ", "\n"))],
     );
     assert_eq!(read("csv", b"x,y,z\n"), Ok(vec![]));
-    assert_refused("xyz", [(format!("2\n{first}4\n{rest}"), "--input-format pts")]);
+    assert_refused("xyz", [(format!("2\n{first}4\n{rest}"), "`format` pts")]);
     assert_refused(
         "pts",
         [(
@@ -178,7 +178,7 @@ fn an_index_or_time_before_the_coordinates_is_refused() {
     for format in
         ["N X Y Z", "N,X,Y,Z,255", "100N X Y Z", "163045000N.5 X Y Z 0 0 0 1", "0.N;X;Y;Z", "# id lon lat h\nN X Y Z"]
     {
-        assert_refused("txt", [(lines(format), "--columns 2,3,4")]);
+        assert_refused("txt", [(lines(format), "`columns` 2,3,4")]);
         let chosen = read_with("txt", lines(format).replace("# id lon lat h\n", "").as_bytes(), &columns("2,3,4"));
         assert_eq!(chosen.unwrap(), POINTS, "{format}");
     }
@@ -188,10 +188,10 @@ fn an_index_or_time_before_the_coordinates_is_refused() {
     assert_refused(
         "csv",
         [
-            (lines("PN,X,Y,Z,edge"), "column 1 is `P0`; choose the columns of x, y and z, as in --columns 2,3,4"),
+            (lines("PN,X,Y,Z,edge"), "column 1 is `P0`; choose the columns of x, y and z, as in `columns` 2,3,4"),
             (
                 format!("6\nhead\n{}", lines("C X Y Z")),
-                "`head` above this row does not name its 4 columns; choose those of x, y and z by numbers, as in --columns 2,3,4",
+                "`head` above this row does not name its 4 columns; choose those of x, y and z by numbers, as in `columns` 2,3,4",
             ),
             (format!("# r g b x y z\n{}", lines("9 9 9 X Y Z 5")), "a comment names 6 columns, the first row has 7"),
             (format!("x y z\n{}", lines("N X Y Z")), "4 columns below 3 names"),
@@ -224,7 +224,7 @@ fn other_contents_are_named() {
             ("1 0 0 0.5\n0 1 0 2\n0 0 1 3\n0 0 0 1\n".into(), "4 x 4 matrix"),
             (
                 format!("ply\nformat ascii 1.0\nelement vertex 6\n{PLY_AXES}end_header\n"),
-                "the content is PLY: rename the file, or --input-format ply",
+                "the content is PLY: rename the file, or `format` ply",
             ),
             ("1 2\n".into(), "2 columns where 3 are needed"),
         ],

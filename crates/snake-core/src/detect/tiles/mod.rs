@@ -32,9 +32,8 @@ use snake_kernels::BLOCK_SIDE;
 
 /// Columns around a tile whose points its voxels depend on.
 ///
-/// Each convolution of blocks computes a block from its neighbours. On its way down and up three levels a column so depends on at
-/// most 79 voxels in each direction, the blocks that exist because of points nearby included. That is less than five blocks
-/// of the coarsest level.
+/// The receptive field is 79 voxels in each direction, counting blocks that exist only because a neighbour has points. That is
+/// less than five blocks of the coarsest level.
 const HALO: i32 = 5;
 
 /// A scene model with options for the tiles of a cloud. All points are relative to the origin of the whole cloud.
@@ -357,7 +356,7 @@ fn check_parts(detect: &DetectOptions, max_points: Option<usize>) -> Result<()> 
 fn advised(error: Error) -> Error {
     match error {
         Error::Option { name: "voxel_size", value, allowed } => {
-            let reason = format!("its voxels are {value} (allowed is {allowed}); so does a smaller tile");
+            let reason = format!("`voxel_size` is {value}. Use a smaller tile, or {allowed}");
             Error::Input { what: "tile", reason }
         }
         other => other,

@@ -16,7 +16,14 @@ pub(crate) struct Shape {
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The number of faces in the file that were not read.
     pub(crate) unread_faces: usize,
+    /// The share of the sampled surface that lies in one face, where it is most of a mesh of many faces.
+    pub(crate) dominant_face: Option<f64>,
+    /// Where the sensor was, in the file's frame.
+    pub(crate) viewpoint: Option<Position>,
 }
+
+/// A face is dominant with more than this share of the surface of at least so many faces.
+const DOMINANT: (f64, usize) = (0.5, 20);
 
 /// A larger number would fill the memory of most machines.
 const MAX_SAMPLES: usize = 100_000_000;
@@ -66,6 +73,9 @@ impl Shape {
         if !(total > 0.0 && total.is_finite()) {
             return Err(format!("faces of area {total:e} in all cannot be sampled"));
         }
+        let areas = std::iter::zip(&sums, std::iter::once(&0.0).chain(&sums)).map(|(sum, before)| sum - before);
+        let share = areas.fold(0.0, f64::max) / total;
+        let is_dominant = share > DOMINANT.0 && sums.len() >= DOMINANT.1;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         // Rounding can exceed the last sum; then the last triangle with an area is used.
         let last = sums.partition_point(|&sum| sum < total);
@@ -78,7 +88,8 @@ impl Shape {
             let weights = [1.0 - along, along * (1.0 - across), along * across];
             std::array::from_fn(|axis| weights[0] * a[axis] + weights[1] * b[axis] + weights[2] * c[axis])
         };
-        Ok((0..number).map(draw).collect::<Vec<_>>().into())
+        let points = (0..number).map(draw).collect();
+        Ok(Self { points, dominant_face: is_dominant.then_some(share), ..Self::default() })
     }
 }
 
@@ -143,6 +154,19 @@ mod tests {
             let within = |p: &&&Position| usize::from(p[0] > 1.0) + 2 * usize::from(p[1] > 1.0) == quarter;
             assert!(square.iter().filter(within).count().abs_diff(1000) < 140);
         }
+    }
+
+    #[test]
+    fn a_face_with_most_of_the_surface_of_many_is_told() {
+        let mut many = shape();
+        many.triangles = [vec![[4, 5, 6]; 30], vec![[0, 1, 2]]].concat();
+        assert_eq!(many.sample(9, 0).unwrap().dominant_face, None);
+        many.points[1] = [400.0, 0.0, 1.0];
+        let share = many.sample(9, 0).unwrap().dominant_face.unwrap();
+        assert!((share - 400.0 / 430.0).abs() < 1e-12, "{share}");
+        many.triangles.truncate(12);
+        many.triangles.push([0, 1, 2]);
+        assert_eq!(many.sample(9, 0).unwrap().dominant_face, None, "few faces");
     }
 
     #[test]

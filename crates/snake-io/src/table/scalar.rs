@@ -1,15 +1,23 @@
 //! Types of numbers in binary files.
 
-/// The number type of a NumPy array's items or of a PCD field.
-#[derive(Clone, Copy)]
-pub(crate) struct Dtype {
-    kind: u8,
+use std::io::{self, Write};
+
+/// The type of the numbers in a column, in an array or in a list.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Scalar {
+    /// `f`, `i` or `u`, as in NumPy.
+    pub(crate) kind: u8,
     /// Size in bytes.
     pub(crate) size: usize,
     big_endian: bool,
 }
 
-impl Dtype {
+impl Scalar {
+    pub(crate) const FLOAT: Self = Self { kind: b'f', size: 4, big_endian: false };
+    pub(crate) const DOUBLE: Self = Self { kind: b'f', size: 8, big_endian: false };
+    pub(crate) const BYTE: Self = Self { kind: b'u', size: 1, big_endian: false };
+    pub(crate) const INT: Self = Self { kind: b'i', size: 4, big_endian: false };
+
     /// Parses byte order, kind and size, for example `<f4`.
     pub(crate) fn parse(descr: &str) -> Option<Self> {
         let &[order, kind, size] = descr.as_bytes() else { return None };
@@ -19,12 +27,30 @@ impl Dtype {
         is_known.then_some(Self { kind, size, big_endian: order == b'>' })
     }
 
+    /// Refuses an index that is too large for an `INT`.
+    pub(crate) fn check(self, value: f64) -> io::Result<()> {
+        if self == Self::INT && value > f64::from(i32::MAX) {
+            return Err(io::Error::other(format!("{value} exceeds the four bytes of an index")));
+        }
+        Ok(())
+    }
+
+    /// Writes a number as one of the four types that the writers use.
+    ///
+    /// # Errors
+    /// The errors of `out`, and a number that is too large for an `INT`.
+    pub(crate) fn write(self, out: &mut dyn Write, value: f64) -> io::Result<()> {
+        self.check(value)?;
+        match self {
+            Self::FLOAT => out.write_all(&(value as f32).to_le_bytes()),
+            Self::BYTE => out.write_all(&[value as u8]),
+            Self::INT => out.write_all(&(value as i32).to_le_bytes()),
+            _ => out.write_all(&value.to_le_bytes()),
+        }
+    }
+
     /// Decodes an item of `size` bytes.
     pub(crate) fn decode(&self, item: &[u8]) -> f64 {
-        // Most coordinates need no copy of a length that is known only here.
-        if let (b'f', false, &[a, b, c, d]) = (self.kind, self.big_endian, item) {
-            return f32::from_le_bytes([a, b, c, d]).into();
-        }
         let mut bytes = [0; 8];
         bytes[..self.size].copy_from_slice(item);
         if self.big_endian {
@@ -76,11 +102,11 @@ mod tests {
             (0x8000, -0.0),
         ] {
             assert_eq!(
-                Dtype::parse("<f2").unwrap().decode(&u16::to_le_bytes(bits)).to_bits(),
+                Scalar::parse("<f2").unwrap().decode(&u16::to_le_bytes(bits)).to_bits(),
                 f64::to_bits(value),
                 "{bits:x}"
             );
         }
-        assert!(Dtype::parse(">f2").unwrap().decode(&[0x7e, 0]).is_nan());
+        assert!(Scalar::parse(">f2").unwrap().decode(&[0x7e, 0]).is_nan());
     }
 }
