@@ -1,5 +1,6 @@
 """Every command of docs/reproduce.md runs, on miniature data in the official layouts."""
 
+import json
 import re
 import runpy
 import shlex
@@ -21,6 +22,7 @@ COMMANDS = [
     for line in block.replace("\\\n", " ").splitlines()
     if line.strip()
 ]
+SHAPE = "1021a0914a7207aff927ed529ad90a11"  # of KeypointNet, which a command names
 # What makes a command small, by its beginning; the later ones override the page's own.
 SMALL = {
     "snake_training.train": TINY,
@@ -28,6 +30,9 @@ SMALL = {
     "repeatability": ["--methods", "snake,random"],
     "semantic": ["--methods", "snake,random"],
     "registration": ["--detectors", "snake"],
+    "snake_training.curve": ["--num-points", "100", "--limit", "1"],
+    "snake_training.times": ["--points", "100", "--steps", "0", "1", "--limit", "1"],
+    "snake_training.reconstruction": ["--resolution", "16", "--limit", "1"],
 }
 
 
@@ -41,6 +46,10 @@ def place(tmp_path_factory):
     for name in ("keypointnet_train", "keypointnet_val", "keypointnet_test_630"):
         shutil.copy(names, split / f"{name}.txt")
     names.unlink()
+    annotated = json.loads((data / "keypointnet_pcds/annotations/airplane.json").read_text())
+    shutil.copy(data / "keypointnet_pcds/02691156/0abc.pcd", data / f"keypointnet_pcds/02691156/{SHAPE}.pcd")
+    annotated.append(annotated[0] | {"model_id": SHAPE})
+    (data / "keypointnet_pcds/annotations/airplane.json").write_text(json.dumps(annotated))
     shutil.copy(shutil.move(modelnet40(data / "modelnet40")[1], split), split / "modelnet40_val.txt")
     smpl(data / "smpl_model")
     shutil.copy(SMPL / "model.pkl", data / "smpl_model")
@@ -79,6 +88,7 @@ def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch):
         return
     assert words[:2] == ["python", "-m"]
     monkeypatch.chdir(place)
+    monkeypatch.setenv("SNAKE_CLI", snake_cli.path)
     monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
     # In this process: to import PyTorch takes longer than a command.
     runpy.run_module(words[2], run_name="__main__")
