@@ -47,7 +47,7 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
         let [source, target] = [read(*source)?, read(*target)?];
         let truth = t_target_source.subtract_origins(source.origin, target.origin);
         Ok(Some((scenes.name(pair), Meeting::of(&source.points, &target.points, &truth)?)))
-    })?;
+    });
     let settings = settings(arguments, &methods);
     let output = arguments.run.output.as_deref();
     let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;

@@ -30,7 +30,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<ExitCode> {
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let schedule = Schedule::new(data.len(), &common.run)?;
-    warn_if_apart(schedule.chosen(), |pair| meeting(&data, columns, pair))?;
+    warn_if_apart(schedule.chosen(), |pair| meeting(&data, columns, pair));
     let radii = plan.radii(&data, columns, &schedule, &methods, common.coverage)?;
     let mut settings = plan.settings(arguments, &methods);
     if !left_out.is_empty() {
