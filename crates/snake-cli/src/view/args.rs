@@ -30,7 +30,7 @@ pub struct ViewArguments {
     #[arg(long, value_name = "FILE")]
     pub transform: Option<PathBuf>,
     /// For one cloud: also show these annotated keypoints, in a file as those of KeypointNet. Of several shapes, it is the one whose
-    /// `model_id` is the cloud's file name without extension.
+    /// `model_id` is the file name of the cloud without extension [default: none].
     #[arg(long, value_name = "FILE", conflicts_with = "second")]
     pub annotations: Option<PathBuf>,
     /// Colour map of the saliency, from 0 to 1.
