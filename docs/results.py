@@ -120,6 +120,10 @@ The surface of the field of `compact` beside that of Open3D's Poisson reconstruc
 distance from the mesh to the nearest point, completeness that from a point to the mesh, F the harmonic mean of the shares that are
 nearer than 0.02 and 0.05. `middle` is the default of `snake-cli reconstruct`, `level` the surface of the paper.
 
+```sh
+python -m snake_training.reconstruction OBJECTS --methods middle level poisson --downsample 8 --noise 0.03
+```
+
 {table}
 """
 
