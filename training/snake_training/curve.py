@@ -62,9 +62,9 @@ def curve(data, output, label, runs):
     found = {value: evaluate(data, output / f"{value:g}", words) for value, words in sorted(runs.items())}
     epsilon = next(iter(found.values()))[3]
     lines = [f"| {label} | repeatability at {epsilon:g} | keypoints |", "|---|---|---|"]
-    lines += [
-        f"| {x:g} | {mean:.3f} ±{deviation:.3f} | {number:.1f} |" for x, (mean, deviation, number, _) in found.items()
-    ]
+    for x, (mean, deviation, number, _) in found.items():
+        spread = "" if deviation is None else f" ±{deviation:.3f}"  # one pair has none
+        lines.append(f"| {x:g} | {mean:.3f}{spread} | {number:.1f} |")
     (output / "curve.md").write_text("\n".join(lines) + "\n")
     (output / "curve.svg").write_text(svg(label, [(x, row[0]) for x, row in found.items()]))
     return "\n".join(lines)
