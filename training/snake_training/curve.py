@@ -84,6 +84,7 @@ def main(argv=None):
         prog="python -m snake_training.curve",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # --model is of `snake-cli eval`
     )
     parser.add_argument("data", nargs="+", help="data set of `snake-cli eval repeatability`")
     parser.add_argument("--option", help="option of detection that varies, such as refine_steps")

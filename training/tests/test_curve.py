@@ -31,7 +31,7 @@ def test_a_curve_has_a_run_for_each_value(shapes, tmp_path, capsys):
         "--num-points",
         "500",
     ]
-    curve.main([*words, "--epsilon", "0.02,0.04"])
+    curve.main([*words, "--epsilon", "0.02,0.04", "--model", "compact"])
     printed = capsys.readouterr().out
     rows = re.findall(r"^\| (\d) \| (0\.\d+) ±0\.\d+ \| [\d.]+ \|$", printed, re.MULTILINE)
     assert [value for value, _ in rows] == ["0", "5"] and "refine_steps | repeatability at 0.04" in printed
