@@ -22,10 +22,10 @@ def test_a_curve_has_a_run_for_each_value(shapes, tmp_path, capsys):
     words = [
         str(shapes),
         "--option",
-        "refine_steps",
+        "nms_radius",
         "--values",
-        "5",
-        "0",
+        "0.5",
+        "0.1",
         "-o",
         str(tmp_path / "out"),
         "--num-points",
@@ -33,8 +33,8 @@ def test_a_curve_has_a_run_for_each_value(shapes, tmp_path, capsys):
     ]
     curve.main([*words, "--epsilon", "0.02,0.04", "--model", "compact"])
     printed = capsys.readouterr().out
-    rows = re.findall(r"^\| (\d) \| (0\.\d+) ±0\.\d+ \| [\d.]+ \|$", printed, re.MULTILINE)
-    assert [value for value, _ in rows] == ["0", "5"] and "refine_steps | repeatability at 0.04" in printed
+    rows = re.findall(r"^\| ([\d.]+) \| (0\.\d+) ±0\.\d+ \| [\d.]+ \|$", printed, re.MULTILINE)
+    assert [value for value, _ in rows] == ["0.1", "0.5"] and "nms_radius | repeatability at 0.04" in printed
     assert (tmp_path / "out/curve.md").read_text() == printed
     drawn = re.search(r'<polyline points="([^"]*)"', (tmp_path / "out/curve.svg").read_text())[1].split()
     heights = [
