@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import subprocess
 from pathlib import Path
 
 spec = importlib.util.spec_from_file_location("results", Path(__file__).parents[1] / "docs/results.py")
@@ -31,6 +32,17 @@ def test_parts_hold_their_tables():
     )
     text = results.registration({"scenes": ["kitchen"], "pairs": 9}, tables)
     assert "9 pairs of 1 scene;" in text and "| Fea | 1 |" in text and "| Reg | 1 |" in text and "Inl" not in text
+
+
+def test_the_part_on_surfaces_holds_the_table_of_its_module(tmp_path, monkeypatch):
+    def run(words, **_):
+        assert words[1:4] == ["-m", "snake_training.reconstruction", str(tmp_path)] and "poisson" in words
+        return subprocess.CompletedProcess(words, 0, stdout="| method |\n|---|\n| middle |\n")
+
+    (tmp_path / "index.json").write_text("[{}, {}, {}]")
+    monkeypatch.setattr(subprocess, "run", run)
+    text = results.surfaces(str(tmp_path))
+    assert text.startswith("## Reconstruction\n") and "on 3 objects" in text and text.endswith("|---|\n| middle |\n")
 
 
 def test_a_part_that_is_not_made_anew_stays():

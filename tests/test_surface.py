@@ -36,7 +36,7 @@ def test_it_agrees_with_scikit_image(field, method, resolution, level):
     values, height, along = samples(field, resolution, level)
     spacing = (along[-1] - along[0]) / (resolution - 1)
     vertices, triangles, _, _ = measure.marching_cubes(values, height, method=method)
-    mesh = field.mesh(resolution=resolution, level=level)
+    mesh = field.mesh(resolution=resolution, level=level, surface="level")
     assert len(mesh.triangles) > 2000
     ours = (mesh.vertices - along[0]) / spacing
 
@@ -66,10 +66,20 @@ def test_the_outer_surface_is_one_of_two():
     # At the default level of 0.4 the wall has pinholes, through which the inside is outside; so many points have none at 0.02.
     direction = np.random.default_rng(5).normal(size=(16000, 3))
     field = snake_rs.Model.builtin().encode(direction / np.linalg.norm(direction, axis=1, keepdims=True))
-    both, outer = field.mesh(resolution=64, level=0.02), field.mesh(resolution=64, level=0.02, outer=True)
+    both, outer = (field.mesh(resolution=64, level=0.02, surface="level", outer=outer) for outer in (False, True))
     assert 0.4 < len(outer.triangles) / len(both.triangles) < 0.7
     inside = np.linalg.norm(both.vertices, axis=1).min()
     assert np.linalg.norm(outer.vertices, axis=1).min() > inside + 0.02
+
+
+def test_the_middle_of_a_shell_lies_on_the_surface():
+    direction = np.random.default_rng(5).normal(size=(16000, 3))
+    field = snake_rs.Model.builtin().encode(direction / np.linalg.norm(direction, axis=1, keepdims=True))
+    off = {
+        surface: np.abs(np.linalg.norm(field.mesh(resolution=64, surface=surface).vertices, axis=1) - 1).mean()
+        for surface in ("level", "middle")
+    }
+    assert off["level"] > 0.03 and off["middle"] < 0.3 * off["level"], off
 
 
 def test_a_mesh_is_three_arrays(field):
@@ -89,6 +99,7 @@ def test_what_cannot_be_is_refused(field):
     for options, expected in (
         ({"resolution": 4096}, "allowed is 8 to 512"),
         ({"resolution": 2.5}, "a whole number"),
+        ({"surface": "ridge"}, "middle.*level"),
         ({"level": 0.0}, "allowed is 0.001 to 0.999"),
         ({"level": float("nan")}, "finite"),
     ):

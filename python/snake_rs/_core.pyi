@@ -201,6 +201,7 @@ class _SurfaceVariationOptions(TypedDict, total=False):
 @type_check_only
 class _MeshOptions(TypedDict, total=False):
     resolution: int
+    surface: Literal["middle", "level"]
     level: float
     outer: bool
 

@@ -178,9 +178,10 @@ impl Field {
         Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 
-    /// The level set of the occupancy at `level`, by marching cubes: a closed mesh in the cloud's frame and units.
+    /// The surface of the cloud: a closed mesh in the cloud's frame and units, by marching cubes of the occupancy at `level`, whose
+    /// vertices then move to the middle of the shell.
     ///
-    /// A thin shell has a second surface inside. Raises ValueError for an invalid value and TypeError for an unknown option.
+    /// A thin wall has a mesh on both sides, and in the middle both lie on it. Raises ValueError for an invalid value and TypeError for an unknown option.
     /// The options are:
     ///
     #[doc = include_str!("help/mesh.txt")]

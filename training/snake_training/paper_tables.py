@@ -173,11 +173,15 @@ def timed():
             yield Command(f"time-{points}-{number}", MODELNET, words)
 
 
-def picture(name, words, network=MODELNET):
+def picture(name, words, network=MODELNET, needs="pairs"):
     """A command that draws."""
-    return Command(name, network, f"{words} -o {{run}}/{name}")
+    return Command(name, network, f"{words} -o {{run}}/{name}", needs)
 
 
+ANNOTATED = (
+    "view {data}/keypointnet_pcds/02691156/1021a0914a7207aff927ed529ad90a11.pcd "
+    "--annotations {data}/keypointnet_pcds/annotations/airplane.json"
+)
 VIEWS = f"view {SHAPE} {PAIRS}/rotated/0.npy"
 ITEMS = {
     "tab1": Item("repeatability on KeypointNet beside UKPGAN", (Cell(BESIDE_UKPGAN),)),
@@ -211,9 +215,15 @@ ITEMS = {
         "repeatability over the step size λ",
         tuple(over("refine_step_size", "step-size", {0.1: 0.002, 0.01: 0.622, 0.001: 0.854, 0.0001: 0.826})),
     ),
-    "fig4": Item("saliency of the network", pictures=(picture("saliency.png", f"field {SHAPE} --quantity saliency"),)),
-    "fig6": Item("keypoints of a cloud and of two views (also figure 1)", pictures=(
+    "fig3": Item("annotations of a shape beside its keypoints", pictures=(
+        picture("annotations.html", ANNOTATED, KEYPOINTNET, "annotations"),
+    )),
+    "fig4": Item("saliency of the network", pictures=(
+        picture("saliency.png", f"field {SHAPE} --quantity saliency --colormap reds --no-points"),
+    )),
+    "fig6": Item("keypoints of a cloud, of two views (also figure 1), thinned and with noise", pictures=(
         picture("keypoints.html", f"view {SHAPE}"), picture("views.html", VIEWS),
+        picture("thinned.html", f"view {SHAPE} --downsample 8"), picture("noisy.html", f"view {SHAPE} --noise 0.06"),
     )),
     "fig7": Item("saliency without the occupancy decoder (a) and over U (b)", pictures=tuple(
         picture(f"saliency-{network.name}.png", f"field {SHAPE} --quantity saliency --slice middle", network)
@@ -223,6 +233,6 @@ ITEMS = {
     )),
     "appendix": Item("occupancy and surface", pictures=(
         picture("occupancy.png", f"field {SHAPE} --quantity occupancy --slice middle"),
-        picture("surface.ply", f"reconstruct {SHAPE} --level 0.4 --outer"),
+        picture("surface.ply", f"reconstruct {SHAPE} --surface level --level 0.4 --outer"),
     )),
 }  # fmt: skip

@@ -1,5 +1,6 @@
 """Every command of docs/reproduce.md runs, on miniature data in the official layouts."""
 
+import json
 import re
 import runpy
 import shlex
@@ -20,6 +21,12 @@ COMMANDS = [
     for line in block.replace("\\\n", " ").splitlines()
     if line.strip()
 ]
+# What makes a command of the page small, by its module; the later ones override the page's own.
+SMALL = {
+    "snake_training.curve": ["--num-points", "100", "--limit", "1"],
+    "snake_training.times": ["--points", "100", "--steps", "0", "1", "--limit", "1"],
+    "snake_training.reconstruction": ["--resolution", "16", "--limit", "1"],
+}
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +50,9 @@ def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch, caps
     if words[2] == "snake_training.paper":
         words += ["--smoke", "--seeds", "1", "--device", "cpu", "--snake-cli", snake_cli.path]
     monkeypatch.chdir(place)
-    monkeypatch.setattr(sys, "argv", ["python", *words[3:]])
+    words += SMALL.get(words[2], [])
+    monkeypatch.setenv("SNAKE_CLI", snake_cli.path)
+    monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
     # In this process: to import PyTorch takes longer than a command.
     runpy.run_module(words[2], run_name="__main__")
     printed = capsys.readouterr().out

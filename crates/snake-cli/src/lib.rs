@@ -6,6 +6,7 @@ mod args;
 mod completions;
 mod config;
 mod detect;
+mod disturb;
 mod eval;
 mod features;
 mod field;

@@ -42,6 +42,7 @@ pub mod datasets;
 mod error;
 #[cfg(feature = "datasets")]
 mod external;
+mod meeting;
 mod protocols;
 mod registration;
 mod repeatability;
@@ -61,6 +62,7 @@ pub use coverage::{RankedKeypoints, radius_of_coverage};
 pub use error::Error;
 #[cfg(feature = "datasets")]
 pub use external::ExternalKeypoints;
+pub use meeting::{Meeting, meeting_note};
 pub use protocols::{Consensus, RansacOptions, ransac};
 pub use registration::{
     RegistrationOutcome, feature_matching_recall, information_matrix, inlier_ratio, overlap, registration_recall,

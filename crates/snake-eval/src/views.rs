@@ -18,6 +18,39 @@ pub struct Condition {
     pub noise: f64,
 }
 
+impl Condition {
+    /// A cloud under the condition, whose noise is in its units: one point in N, chosen at random, with noise. A cloud that is
+    /// not thinned keeps its order.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the cloud has no points, the down-sampling rate is 0, or the noise is negative or not finite.
+    pub fn apply(self, points: &[Point], seed: u64) -> Result<Vec<Point>> {
+        self.check(points.is_empty())?;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let kept = match self.downsample {
+            1 => points.to_vec(),
+            rate => choose(points, (points.len() / rate).max(1), &mut rng),
+        };
+        Ok(self.noisy(kept, &mut rng))
+    }
+
+    fn noisy(self, points: Vec<Point>, rng: &mut impl Rng) -> Vec<Point> {
+        let mut add_noise = |v: f32| (f64::from(v) + self.noise * rng.sample::<f64, _>(StandardNormal)) as f32;
+        points.into_iter().map(|point| point.map(&mut add_noise)).collect()
+    }
+
+    /// Refuses conditions and clouds that no view can be drawn from.
+    fn check(self, is_empty: bool) -> Result<()> {
+        let refused = |what, reason: &str| Err(Error::Input { what, reason: reason.into() });
+        match self {
+            _ if is_empty => refused("clouds", "a cloud without points"),
+            Self { downsample: 0, .. } => refused("downsample", "allowed is 1 or more"),
+            Self { noise, .. } if !(0.0..=1e30).contains(&noise) => refused("noise", "allowed is 0 to 1e30"),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// The clouds that the views of a pair are drawn from, in the units of the figures.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PairClouds {
@@ -77,7 +110,10 @@ impl PairClouds {
     /// # Errors
     /// [`Error::Input`] when a cloud has no points, the down-sampling rate is 0, or the noise is negative or not finite.
     pub fn views(&self, condition: Condition, num_points: usize, seed: u64, pair: usize) -> Result<Views> {
-        self.check(condition)?;
+        condition.check(match self {
+            Self::Object(points) => points.is_empty(),
+            Self::Real { clouds, .. } => clouds.iter().any(Vec::is_empty),
+        })?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(pair as u64);
         let share = |points: &[Point]| (num_points.min(points.len()) / condition.downsample).max(1);
@@ -98,31 +134,12 @@ impl PairClouds {
                 (clouds.each_ref().map(|points| choose(points, share(points), &mut rng)), *t_1_2)
             }
         };
-        let mut noisy = |points: Vec<Point>| -> Vec<Point> {
-            let mut add_noise = |v: f32| (f64::from(v) + condition.noise * rng.sample::<f64, _>(StandardNormal)) as f32;
-            points.into_iter().map(|point| point.map(&mut add_noise)).collect()
-        };
-        let (view_1, view_2) = (noisy(first), noisy(second));
+        let (view_1, view_2) = (condition.noisy(first, &mut rng), condition.noisy(second, &mut rng));
         let origins = match self {
             Self::Object(_) => [[0.0; 3]; 2],
             Self::Real { origins, .. } => *origins,
         };
         Ok(Views { view_1, view_2, t_1_2, seeds: [rng.random(), rng.random()], origins })
-    }
-
-    /// Refuses clouds and conditions that no view can be drawn from.
-    fn check(&self, condition: Condition) -> Result<()> {
-        let is_empty = match self {
-            Self::Object(points) => points.is_empty(),
-            Self::Real { clouds, .. } => clouds.iter().any(Vec::is_empty),
-        };
-        let refused = |what, reason: &str| Err(Error::Input { what, reason: reason.into() });
-        match condition {
-            _ if is_empty => refused("clouds", "a cloud without points"),
-            Condition { downsample: 0, .. } => refused("downsample", "allowed is 1 or more"),
-            Condition { noise, .. } if !(0.0..=1e30).contains(&noise) => refused("noise", "allowed is 0 to 1e30"),
-            _ => Ok(()),
-        }
     }
 }
 
@@ -178,6 +195,19 @@ mod tests {
             let squared: f64 = noisy.iter().zip(clean).map(|(&a, b)| distance(a, b).powi(2)).sum::<f64>() / 600.0;
             assert!((squared.sqrt() - 0.1).abs() < 0.01, "{squared}");
         }
+    }
+
+    #[test]
+    fn a_cloud_under_a_condition_is_a_part_of_itself_with_noise() {
+        let points = ball(300);
+        assert_eq!(CLEAN.apply(&points, 1).unwrap(), points);
+        let thinned = Condition { downsample: 8, ..CLEAN }.apply(&points, 1).unwrap();
+        assert!(thinned.len() == 37 && thinned.iter().all(|point| points.contains(point)));
+        assert_ne!(thinned, Condition { downsample: 8, ..CLEAN }.apply(&points, 2).unwrap());
+        let noisy = Condition { noise: 0.1, ..CLEAN }.apply(&points, 1).unwrap();
+        let squared: f64 = noisy.iter().zip(&points).map(|(&a, &b)| distance(a, b).powi(2)).sum::<f64>() / 900.0;
+        assert!((squared.sqrt() - 0.1).abs() < 0.01, "{squared}");
+        assert!(CLEAN.apply(&[], 1).is_err() && Condition { downsample: 0, ..CLEAN }.apply(&points, 1).is_err());
     }
 
     #[test]

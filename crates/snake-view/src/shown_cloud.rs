@@ -32,6 +32,8 @@ pub struct ShownCloud {
     pub saliency: [Vec<f32>; 2],
     /// Its keypoints.
     pub detection: Detection,
+    /// Annotated keypoints to show beside them, relative to the origin.
+    pub annotations: Vec<Point>,
 }
 
 impl ShownCloud {
@@ -46,7 +48,7 @@ impl ShownCloud {
         let shown = subsample(points);
         let surface = surface(&field, control)?;
         let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-        Ok(Self { name, origin: chosen.origin, field, shown, surface, saliency, detection })
+        Ok(Self { name, origin: chosen.origin, field, shown, surface, saliency, detection, annotations: Vec::new() })
     }
 
     /// The positions of the keypoints, relative to the origin.
@@ -77,12 +79,14 @@ impl ShownCloud {
     pub(crate) fn data(&self) -> Value {
         let keypoints = self.detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, self.origin));
         let keypoints: Vec<Value> = keypoints.collect();
+        let annotations: Vec<[f64; 3]> = self.annotations.iter().map(|&at| add_origin(at, self.origin)).collect();
         let Normalization { center, scale } = self.field.normalization();
         json!({
             "name": self.name,
             "points": Vertices::of(&self.shown, self.origin, &self.saliency[0]),
             "surface": self.surface_data(),
             "keypoints": keypoints,
+            "annotations": annotations,
             "hint": self.hint(),
             "num_points": self.field.points().len(),
             "num_skipped": self.field.num_skipped(),

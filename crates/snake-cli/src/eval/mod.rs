@@ -3,6 +3,7 @@
 pub mod args;
 mod described;
 mod files;
+mod meeting;
 mod methods;
 mod record;
 mod registration;

@@ -9,12 +9,15 @@ use snake_core::Point;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Row, report};
 use snake_eval::tables::paper::THREE_D_MATCH;
-use snake_eval::{RansacOptions, information_matrix, inlier_ratio, overlap, ransac, squared_registration_error};
+use snake_eval::{
+    Meeting, RansacOptions, information_matrix, inlier_ratio, overlap, ransac, squared_registration_error,
+};
 use snake_registration::mutual_nearest;
 
 use super::args::RegistrationArguments;
 use super::described::{Clouds, DescribedCloud, Methods, VOXEL_SIZE};
 use super::files;
+use super::meeting::warn_if_apart;
 use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
@@ -38,6 +41,13 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     let methods = Methods::new(arguments, &scenes)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
     files::check(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;
+    warn_if_apart(schedule.chosen(), |pair| {
+        let ScenePair { source, target, t_target_source, .. } = &scenes.pairs[pair];
+        let read = |cloud: usize| arguments.run.columns.read(&scenes.clouds[cloud]);
+        let [source, target] = [read(*source)?, read(*target)?];
+        let truth = t_target_source.subtract_origins(source.origin, target.origin);
+        Ok(Some((scenes.name(pair), Meeting::of(&source.points, &target.points, &truth)?)))
+    });
     let settings = settings(arguments, &methods);
     let output = arguments.run.output.as_deref();
     let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;

@@ -9,11 +9,12 @@ use snake_eval::datasets::{Scale, ViewPairs};
 use snake_eval::reports::repeatability::{Row, Sweeps, report};
 use snake_eval::tables::paper;
 use snake_eval::views::{Condition, PairClouds, Views};
-use snake_eval::{RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
+use snake_eval::{Meeting, RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
 use snake_io as io;
 
 use super::args::RepeatabilityArguments;
 use super::files;
+use super::meeting::warn_if_apart;
 use super::methods::{InFile, Method, count_models};
 use super::record::Record;
 use super::schedule::{Schedule, Task};
@@ -29,6 +30,7 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<u8> {
     let plan = Plan::new(arguments, &data)?;
     let methods = Method::all(common, None)?;
     let schedule = Schedule::new(data.len(), &common.run)?;
+    warn_if_apart(schedule.chosen(), |pair| meeting(&data, columns, pair));
     let radii = plan.radii(&data, columns, &schedule, &methods, common.coverage)?;
     let mut settings = plan.settings(arguments, &methods);
     if let Some(split) = &arguments.split {
@@ -105,6 +107,16 @@ fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
     };
     let t_target_source = io::read_transform(transform).context("--transform")?;
     Ok(ViewPairs::from_pair(source, target, t_target_source))
+}
+
+/// How far the clouds of a pair meet; `None` for an object.
+fn meeting(data: &ViewPairs, columns: &ColumnArguments, pair: usize) -> Result<Option<(String, Meeting)>> {
+    match data.clouds(pair, &columns.options())? {
+        PairClouds::Object(_) => Ok(None),
+        PairClouds::Real { clouds: [first, second], t_1_2, .. } => {
+            Ok(Some((data.name(pair), Meeting::of(&second, &first, &t_1_2)?)))
+        }
+    }
 }
 
 /// The radius of suppression for each condition and method, in units of the data set, where it is not the method's own.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use crate::disturb::DisturbArguments;
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
 use crate::setup::{ComputeArguments, EncodeFlags};
@@ -61,6 +62,8 @@ pub struct FieldArguments {
     pub json: bool,
     #[command(flatten)]
     pub reading: InputArguments,
+    #[command(flatten)]
+    pub disturb: DisturbArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 
-/// Colour maps. All of them are perceptually uniform except turbo, which shows more detail.
+/// Colour maps. All of them but turbo, which shows more detail, are perceptually ordered.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Colormap {
     Viridis,
@@ -11,6 +11,8 @@ pub enum Colormap {
     Plasma,
     Cividis,
     Turbo,
+    /// From nearly white to dark red, as in the paper's pictures of the saliency.
+    Reds,
     Gray,
 }
 
@@ -24,6 +26,7 @@ impl Colormap {
             Self::Plasma => colorous::PLASMA,
             Self::Cividis => colorous::CIVIDIS,
             Self::Turbo => colorous::TURBO,
+            Self::Reds => colorous::REDS,
             // The gray scale of the crate runs from light to dark.
             Self::Gray => return [(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3],
         };

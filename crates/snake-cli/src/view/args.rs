@@ -6,6 +6,7 @@ use clap::Args;
 use snake_core::Length;
 
 use crate::detect::args::DetectFlags;
+use crate::disturb::DisturbArguments;
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
 use crate::setup::ComputeArguments;
@@ -28,11 +29,17 @@ pub struct ViewArguments {
     /// `snake-cli register SECOND FIRST -o FILE` writes it (.json, .txt) [default: found by registration].
     #[arg(long, value_name = "FILE")]
     pub transform: Option<PathBuf>,
+    /// For one cloud: also show these annotated keypoints, in a file as those of KeypointNet. Of several shapes, it is the one whose
+    /// `model_id` is the file name of the cloud without extension [default: none].
+    #[arg(long, value_name = "FILE", conflicts_with = "second")]
+    pub annotations: Option<PathBuf>,
     /// Colour map of the saliency, from 0 to 1.
     #[arg(long, value_enum, default_value = "viridis")]
     pub colormap: Colormap,
     #[command(flatten)]
     pub reading: InputArguments,
+    #[command(flatten)]
+    pub disturb: DisturbArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]

@@ -2,10 +2,11 @@
 
 pub mod args;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use snake_core::{Chosen, Control, Error, Progress};
+use snake_core::{Chosen, Cloud, Control, Error, Point, Progress};
+use snake_eval::datasets::annotated_points;
 use snake_io as io;
 use snake_view::{Page, Pair, ShownCloud};
 
@@ -24,7 +25,12 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         bail!("--epsilon and --transform need two clouds");
     }
     check_inputs([input].into_iter().chain(second))?;
-    let inputs = [input].into_iter().chain(second).chain(transform).chain(&arguments.compute.model);
+    let inputs = [input]
+        .into_iter()
+        .chain(second)
+        .chain(transform)
+        .chain(&arguments.annotations)
+        .chain(&arguments.compute.model);
     InputFiles::new(inputs).refuse_as_output(output)?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
@@ -32,14 +38,18 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let control = Control::new().progress(&progress);
     let bar = terminal::stages(&progress)?;
     let read = |input: &PathBuf| arguments.reading.read(input, chooser.seed());
+    // The noise of two clouds is independent.
+    let disturbed = |cloud, which: u64| arguments.disturb.apply(cloud, chooser.seed().wrapping_add(which));
     let name = |input: &PathBuf| input.display().to_string();
-    let first_cloud = read(input)?;
+    let given = read(input)?;
+    let annotations = arguments.annotations.as_deref().map(|file| annotated(file, input, &given)).transpose()?;
+    let first_cloud = disturbed(given, 0)?;
     let first = chooser.for_cloud(&first_cloud).with_context(|| name(input))?;
     bar.suspend(|| {
         detail_of(&first);
         terminal::hints(&name(input), &first.note);
     });
-    let second_cloud = second.as_ref().map(read).transpose()?;
+    let second_cloud = second.as_ref().map(|input| disturbed(read(input)?, 1)).transpose()?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
     let mut add = |input: &PathBuf, chosen: &Chosen| -> Result<()> {
         bar.set_message(name(input));
@@ -53,6 +63,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
         // Both clouds of a pair have the model that suits the first.
         add(input, &first.with_cloud(cloud).with_context(|| name(input))?)?;
     }
+    clouds[0].annotations = annotations.unwrap_or_default();
     bar.set_message("registration");
     let pair = match &clouds[..] {
         [first, second] => {
@@ -69,6 +80,18 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     write_page(output, &html)?;
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)
+}
+
+/// The annotated points of a cloud as it was read.
+fn annotated(file: &Path, input: &Path, cloud: &Cloud) -> Result<Vec<Point>> {
+    let model_id = input.file_stem().unwrap_or_default().to_string_lossy();
+    let point = |index: usize| {
+        let number = cloud.points.len();
+        let outside =
+            || format!("{}: point_index {index}, but {} has {number} points", file.display(), input.display());
+        cloud.points.get(index).copied().with_context(outside)
+    };
+    annotated_points(file, &model_id)?.into_iter().map(point).collect()
 }
 
 /// The advice where a registration fails.

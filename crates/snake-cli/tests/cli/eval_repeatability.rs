@@ -4,8 +4,10 @@ use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
+use snake_core::RigidTransform;
 use tempfile::TempDir;
 
+use super::eval_registration::scenes;
 use super::eval_semantic::keypointnet;
 use super::{assert_refused, sample, snake, stderr, succeed, write_npy};
 
@@ -140,6 +142,27 @@ fn real_pairs_are_evaluated_in_their_units() {
     // All points of both views, so the same keypoints, but for the rounding of the shifted coordinates.
     let shares = csv.lines().skip(1).map(|line| line.split(',').nth(4).unwrap().parse::<f64>().unwrap());
     assert!(shares.clone().count() == 2 && shares.clone().all(|share| share > 0.9), "{csv}");
+}
+
+#[test]
+fn pairs_that_do_not_meet_under_their_transforms_are_named() {
+    let data = scenes(&[[0, 1], [0, 3]]);
+    let list = data.path().join("pairs.json");
+    let run = |metric: &str, more: &[&str]| {
+        stderr(&snake(&[&["eval", metric, &data.path().display().to_string(), "--limit", "2"], more].concat()))
+    };
+    let repeatability = || run("repeatability", &["--methods", "random", "--downsample", "1", "--noise", "0"]);
+    let registration = || run("registration", &["--detectors", "random", "--descriptors", "fpfh"]);
+    assert!(!repeatability().contains("do not overlap") && !registration().contains("do not overlap"));
+    let rows: Vec<Value> = serde_json::from_slice(&std::fs::read(&list).unwrap()).unwrap();
+    let inverse = |row: &Value| {
+        let t: RigidTransform = serde_json::from_value(row["T"].clone()).unwrap();
+        serde_json::json!({"source": row["source"], "target": row["target"], "T": t.inverse()})
+    };
+    std::fs::write(&list, Value::from_iter(rows.iter().map(inverse)).to_string()).unwrap();
+    for text in [repeatability(), registration()] {
+        assert!(text.contains("2 of 2 pairs") && text.contains("room__03") && text.contains("wrong way"), "{text}");
+    }
 }
 
 #[test]

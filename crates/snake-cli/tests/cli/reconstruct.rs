@@ -38,6 +38,18 @@ fn meshes_are_written_in_each_format() {
     let lines = |prefix: &str| String::from_utf8_lossy(&obj).lines().filter(|line| line.starts_with(prefix)).count();
     assert_eq!((lines("v "), lines("vn "), lines("f ")), (vertices, vertices, triangles));
 
+    // At the level each side of the wing is a shell, which is wider than the object.
+    let extent = |name: &str, more: &[&str]| {
+        reconstruct(name, more);
+        let points = snake_io::read_points(&folder.path().join(name)).unwrap();
+        let along = |end: fn(f32, f32) -> f32| points.iter().map(|point| point[2]).reduce(end).unwrap();
+        along(f32::max) - along(f32::min)
+    };
+    let [level, middle] = [extent("f.ply", &["--surface", "level"]), extent("g.ply", &["--surface", "middle"])];
+    assert!(level > middle && std::fs::read(folder.path().join("g.ply")).unwrap() == ply, "{level} {middle}");
+    let thinned = reconstruct("h.ply", &["--downsample", "4", "--noise", "2%", "--json"]).1;
+    assert_eq!(json_lines(&thinned)[0]["num_points"], 1024);
+
     let (_, output) = reconstruct("e.ply", &["--level", "0.999"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(text.contains("0 triangles, area 0.0") && text.contains("try a lower --level"), "{text}");

@@ -9,7 +9,7 @@ use snake_io as io;
 use snake_registration::transform_points;
 use tempfile::TempDir;
 
-use super::{file, sample, snake, succeed};
+use super::{assert_refused, file, sample, snake, succeed};
 
 /// The data within a page.
 fn page_data(path: &str) -> Value {
@@ -28,6 +28,27 @@ fn rotated(folder: &TempDir) -> String {
     io::write_points(&path, &transform_points(&RigidTransform::from_matrix(SHIFTED_TURN).unwrap(), &points), [0.0; 3])
         .unwrap();
     path.display().to_string()
+}
+
+#[test]
+fn annotations_are_shown_beside_the_keypoints() {
+    let folder = tempfile::tempdir().unwrap();
+    let (page, list) = (file(&folder, "page.html"), file(&folder, "plane.json"));
+    let shape = |model_id: &str, indices: [usize; 2]| {
+        let marked = indices.map(|index| serde_json::json!({"pcd_info": {"point_index": index}, "semantic_id": 3}));
+        serde_json::json!({"class_id": "0", "model_id": model_id, "keypoints": marked})
+    };
+    let stem = Path::new(&sample()).file_stem().unwrap().to_string_lossy().into_owned();
+    let view = |shapes: Value| {
+        std::fs::write(&list, shapes.to_string()).unwrap();
+        snake(&["view", &sample(), "-o", &page, "--annotations", &list, "--downsample", "2"])
+    };
+    assert!(view(serde_json::json!([shape("other", [0, 1]), shape(&stem, [7, 4000])])).status.success());
+    let points = io::read_points(Path::new(&sample())).unwrap();
+    let shown: Vec<Point> = serde_json::from_value(page_data(&page)["clouds"][0]["annotations"].clone()).unwrap();
+    assert_eq!(shown, [points[7], points[4000]]);
+    assert_refused(&view(serde_json::json!([shape("a", [0, 1]), shape("b", [0, 1])])), &format!("model_id {stem}"));
+    assert_refused(&view(serde_json::json!([shape("a", [0, 99999])])), "point_index 99999");
 }
 
 #[test]

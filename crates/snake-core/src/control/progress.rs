@@ -133,7 +133,7 @@ mod tests {
         }
         let options = MeshOptions { resolution: 40, ..Default::default() };
         assert_eq!(field.mesh_with(&options, &control).unwrap(), field.mesh(&options).unwrap());
-        assert_complete(&progress, "normals");
+        assert_complete(&progress, "middle of the shell");
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub use self::by_name::with_named_values;
 pub(crate) use self::detect::Radii;
 pub use self::detect::{DetectOptions, RefineMethod, Selection};
 pub use self::encode::EncodeOptions;
-pub use self::mesh::MeshOptions;
+pub use self::mesh::{MeshOptions, MeshSurface};
 pub use self::presets::Preset;
 
 use serde::{Deserialize, Serialize};

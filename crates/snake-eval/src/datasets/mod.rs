@@ -22,7 +22,7 @@ use crate::error::{Error, Result};
 
 pub use repeatability::{Scale, ViewPairs};
 pub use scenes::{ScenePair, Scenes};
-pub use semantic::{SemanticData, Shape};
+pub use semantic::{SemanticData, Shape, annotated_points};
 
 /// A text file, without the byte order mark that some editors write.
 fn read_text(path: &Path) -> Result<String> {

@@ -53,6 +53,20 @@ struct MarkedPoint {
     point_index: usize,
 }
 
+/// Indices of the annotated points of one shape in an annotation file of KeypointNet: of the entry with the shape's
+/// `model_id`, or of the only entry.
+///
+/// # Errors
+/// [`Error::Io`] and [`Error::File`] when the file cannot be read; [`Error::Layout`] when no entry is the shape's.
+pub fn annotated_points(file: &Path, model_id: &str) -> Result<Vec<usize>> {
+    let mut entries: Vec<Annotation> = read_json(file)?;
+    if entries.len() != 1 {
+        entries.retain(|entry| entry.model_id == model_id);
+    }
+    let entry = entries.pop().ok_or_else(|| Error::layout(file, format!("no entry with the model_id {model_id}")))?;
+    Ok(entry.keypoints.into_iter().map(|marked| marked.pcd_info.point_index).collect())
+}
+
 impl SemanticData {
     /// Opens a data set by its layout. For KeypointNet, `split` is a file with a `CLASS_ID-MODEL_ID` for each shape to
     /// use.

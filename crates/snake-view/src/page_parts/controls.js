@@ -71,10 +71,11 @@ function position(point, { normalization: { scale } }) {
 
 const number = (value, digits = 4) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
 
-function describe(tooltip, { of, rank, saliency, confidence, occupancy, x, y, z, nearest_index, link }) {
-  const head = element("strong", data.clouds.length > 1 ? `Keypoint ${rank + 1} of ${"AB"[of]}` : `Keypoint ${rank + 1}`);
+function describe(tooltip, { of, rank, isAnnotation, saliency, confidence, occupancy, x, y, z, nearest_index, link }) {
+  const name = isAnnotation ? "Annotation" : "Keypoint";
+  const head = element("strong", data.clouds.length > 1 ? `${name} ${rank + 1} of ${"AB"[of]}` : `${name} ${rank + 1}`);
   const at = ["position", position([x, y, z], data.clouds[of])];
-  const rows = isRegistration ? [at] : [["score (saliency)", number(saliency)],
+  const rows = isRegistration || isAnnotation ? [at] : [["score (saliency)", number(saliency)],
     ["confidence", number(confidence)], ["occupancy", number(occupancy)], at,
     ["nearest point", nearest_index]];
   if (link) {
@@ -239,12 +240,14 @@ function panel() {
   } else {
     const sized = keypoints.some(({ confidence }) => confidence !== null) ? ", larger with its confidence" : "";
     byId("legend").append(key(two ? "keypoint that repeats" : `keypoint${sized}`, "var(--accent)"));
+    if (annotations.length) byId("legend").append(key("annotation", "var(--lone)"));
     if (two) byId("legend").append(key("keypoint of one cloud only", "var(--lone)"));
   }
   const hasSurface = data.clouds.some(({ surface }) => surface);
   const why = hasSurface ? "" : "The field has no surface.";
   byId("controls").append(toggle("Points", shown, "points"), toggle("Keypoints", shown, "keypoints"),
     toggle("Surface", shown, "surface", { disabled: !hasSurface, why }));
+  if (annotations.length) byId("controls").append(toggle("Annotations", shown, "annotations"));
   if (two) {
     byId("controls").append(toggle("Links", shown, "links"),
       ...names.map((name, of) => toggle(`${"AB"[of]}: ${name}`, shown.clouds, of)), slider("Apart", "apart", 0, 1.5));

@@ -46,6 +46,10 @@ const keypoints = data.clouds.flatMap((cloud, of) => cloud.keypoints.map((keypoi
   const at = apply(placed[of], [keypoint.x, keypoint.y, keypoint.z]);
   return { ...keypoint, of, rank, at, link: null };
 }));
+// Annotations are shown in the colour of lone keypoints, whatever their number.
+const annotations = data.clouds.flatMap(({ annotations }, of) => (annotations || []).map(([x, y, z], rank) =>
+  ({ x, y, z, of, rank, at: apply(placed[of], [x, y, z]), link: null, isAnnotation: true })));
+keypoints.push(...annotations);
 const numOfFirst = data.clouds[0].keypoints.length;
 const links = (data.pair ? data.pair.links : []).map(([first, second, distance]) => {
   const link = { first: keypoints[first], second: keypoints[numOfFirst + second], distance };
@@ -72,7 +76,7 @@ function guessUp() {
 
 const view = { yaw: -0.9, pitch: 0.5, zoom: 1, target: [0, 0, 0], ...guessUp() };
 const start = { ...view };
-const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, surface: false, links: true };
+const shown = { clouds: data.clouds.map(() => true), points: true, keypoints: true, annotations: true, surface: false, links: true };
 // Below this number gaps between points show the far side of a cloud; its surface then hides it.
 const SPARSE = 5000;
 const size = Math.min(6, Math.max(1.6, 260 / Math.sqrt(data.clouds[0].points.count)));
@@ -343,10 +347,11 @@ function hideFarSide(of, surface, shift, seen) {
   gl.colorMask(true, true, true, true);
 }
 
-const isShown = ({ of, rank }) => shown.keypoints && shown.clouds[of] && rank < style.best;
+const isShown = ({ of, rank, isAnnotation }) =>
+  isAnnotation ? shown.annotations : shown.keypoints && shown.clouds[of] && rank < style.best;
 
 function drawKeypoints(seen, ratio, viewport) {
-  const [plain, repeated] = [color(data.pair ? "--lone" : "--accent"), color("--accent")];
+  const [plain, repeated] = [color(data.pair || annotations.length ? "--lone" : "--accent"), color("--accent")];
   const place = (keypoint) => add(keypoint.at, aside(keypoint.of, seen));
   gl.disable(gl.DEPTH_TEST);
   const both = shown.links ? links.filter(({ first, second }) => isShown(first) && isShown(second)) : [];
@@ -364,7 +369,8 @@ function drawKeypoints(seen, ratio, viewport) {
   const usual = Math.min(13, 170 / Math.sqrt(discs.length)) * Math.max(0.6, dotScale());
   // Below 6 pixels nothing is left of a disc but its white ring.
   const diameter = ({ confidence }) => Math.max(6, usual * (0.5 + (confidence ?? 0.5))) * ratio;
-  const vertices = discs.flatMap((keypoint) => [...place(keypoint), keypoint.link ? 1 : 0, diameter(keypoint)]);
+  const isAccented = ({ link, isAnnotation }) => link || (annotations.length && !isAnnotation);
+  const vertices = discs.flatMap((keypoint) => [...place(keypoint), isAccented(keypoint) ? 1 : 0, diameter(keypoint)]);
   // Keypoints behind points stay faintly visible.
   for (const opacity of [shown.surface ? 0.6 : 0.3, 1]) {
     use("discs", seen, { hovered: discs.indexOf(hovered), plain, repeated, opacity });

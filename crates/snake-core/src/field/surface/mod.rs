@@ -2,6 +2,7 @@
 
 mod cube;
 mod marching_cubes;
+mod middle;
 mod outer;
 mod samples;
 #[cfg(test)]
@@ -14,15 +15,19 @@ use crate::control::Control;
 use crate::field::grid::coordinate;
 use crate::field::{Field, Quantity, log_odds};
 use crate::network::layers::TILE;
-use crate::options::MeshOptions;
+use crate::options::{MeshOptions, MeshSurface};
 use snake_geometry::{Mesh, Point, unit};
 
 use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
 
 impl Field {
-    /// The surface where the occupancy equals [`MeshOptions::level`] (marching cubes; along edges linear in the
-    /// log-odds).
+    /// The surface of the cloud, or the shell around it where the occupancy equals [`MeshOptions::level`] (marching cubes;
+    /// along edges linear in the log-odds).
+    ///
+    /// The occupancy is that of a surface, not of an inside. A thin wall has a shell on both sides, which lies most of a
+    /// voxel from it. With [`MeshSurface::Middle`] both sides move to the ridge of the occupancy between them. Triangles and
+    /// normals stay those of the shell.
     ///
     /// The surface is closed. The grid covers the box of the feature volume, which is the network's cube ±0.5 with its
     /// padding. Where the box cuts the occupied region, its face closes the surface. A field without a surface gives a
@@ -98,12 +103,13 @@ impl<'a> Grid<'a> {
     }
 
     fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>, control: &Control) -> Result<Mesh> {
-        let value = |samples: &[Sample]| {
-            let queries: Vec<Point> = samples.iter().map(|&sample| self.point(sample)).collect();
-            let values = self.field.tile_values(Quantity::Occupancy, &queries);
+        let value_at = |queries: &[Point]| -> Vec<f32> {
+            let values = self.field.tile_values(Quantity::Occupancy, queries);
             // A network can overflow: `max` replaces NaN by a number.
             values.iter().map(|value| log_odds(value.max(0.0))).collect()
         };
+        let value =
+            |samples: &[Sample]| value_at(&samples.iter().map(|&sample| self.point(sample)).collect::<Vec<_>>());
         let samples = Samples::near_surface(options.resolution, log_odds(options.level), value, likely, control)?;
         control.begin("triangles", 0).check()?;
         let mut surface = Surface::of(&samples);
@@ -131,6 +137,13 @@ impl<'a> Grid<'a> {
             num_removed,
         };
         mesh.normals = normals(&mesh, &gradients);
+        if options.surface == MeshSurface::Middle {
+            let counter = control.begin("middle of the shell", mesh.vertices.len());
+            let value = |points: &[Point]| {
+                value_at(&points.iter().map(|&point| normalization.to_network(point)).collect::<Vec<_>>())
+            };
+            middle::move_to_middle(&mut mesh.vertices, &mesh.normals, self.field.voxel_size(), value, &counter)?;
+        }
         Ok(mesh)
     }
 }

@@ -225,7 +225,7 @@ fn the_border_closes_what_it_cuts() {
 fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
     let (points, field) = crate::detect::tests::cylinder();
     for (resolution, level, outer) in [(50, 0.4, false), (64, 0.8, true)] {
-        let options = MeshOptions { resolution, level, outer };
+        let options = MeshOptions { resolution, level, outer, surface: MeshSurface::Level };
         let mesh = field.mesh(&options).unwrap();
         assert_eq!(
             mesh,
@@ -257,10 +257,26 @@ fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
 }
 
 #[test]
+fn the_middle_of_the_shell_lies_nearer_to_the_surface_than_the_level() {
+    let (_, field) = crate::detect::tests::cylinder();
+    let mesh = |surface| field.mesh(&MeshOptions { resolution: 64, surface, ..Default::default() }).unwrap();
+    let (level, middle) = (mesh(MeshSurface::Level), mesh(MeshSurface::Middle));
+    assert_eq!((&level.triangles, &level.normals), (&middle.triangles, &middle.normals));
+    let off = [&level, &middle].map(|mesh| {
+        let wall: Vec<&Point> = mesh.vertices.iter().filter(|vertex| (0.1..0.7).contains(&vertex[2])).collect();
+        let sum: f32 = wall.iter().map(|[x, y, _]| (x.hypot(*y) - 1.0).abs()).sum();
+        sum / wall.len() as f32 / field.voxel_size()
+    });
+    assert!(off[0] > 0.6 && off[1] < 0.3, "{off:?} voxels");
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    assert_eq!(middle, threads.install(|| mesh(MeshSurface::Middle)));
+}
+
+#[test]
 fn options_out_of_range_are_refused() {
     let (_, field) = crate::detect::tests::cylinder();
     for (resolution, level) in [(7, 0.4), (513, 0.4), (usize::MAX, 0.4), (16, 0.0), (16, 1.0), (16, f32::NAN)] {
-        let options = MeshOptions { resolution, level, outer: false };
+        let options = MeshOptions { resolution, level, ..Default::default() };
         assert!(matches!(field.mesh(&options), Err(Error::Option { .. })), "{options:?}");
     }
 }

@@ -1,0 +1,20 @@
+//! A look at the pairs of a data set before hours of work: clouds that do not meet have figures near zero.
+
+use anyhow::Result;
+use snake_eval::{Meeting, meeting_note};
+
+use crate::terminal;
+
+/// The most pairs that are looked at, evenly spaced: a wrong direction or unit is that of all.
+const MAX_PAIRS: usize = 50;
+
+/// Warns where clouds of the chosen pairs do not meet. `meeting` gives the name of a pair and how far it meets, or `None` for a
+/// pair whose transform is known. A pair that cannot be read is left to the evaluation, which says so.
+pub fn warn_if_apart(chosen: &[usize], meeting: impl Fn(usize) -> Result<Option<(String, Meeting)>>) {
+    let some = chosen.iter().step_by(chosen.len().div_ceil(MAX_PAIRS).max(1));
+    let pairs: Vec<(String, Meeting)> =
+        some.map_while(|&pair| meeting(pair).transpose()).filter_map(Result::ok).collect();
+    if let Some(note) = meeting_note(&pairs) {
+        terminal::warn(&note);
+    }
+}
