@@ -20,6 +20,8 @@ pub struct Attributes {
     pub intensity: Option<Vec<f32>>,
     /// Normals `(N, 3)`, in the cloud's frame.
     pub normals: Option<Vec<[f32; 3]>>,
+    /// The position of the sensor (3,), in the frame of the points: the `VIEWPOINT` of a PCD file.
+    pub viewpoint: Option<[f64; 3]>,
 }
 
 /// The columns of a file under three names, as numbers in f64. `None` if it lacks one of them.
@@ -48,7 +50,8 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
             let columns = |names: [&str; 3]| pcd::columns(&bytes, names).ok();
             let packed = || columns(["rgb"; 3]).or_else(|| columns(["rgba"; 3]));
             let named = Attributes::named(&columns);
-            Attributes { colors: named.colors.or_else(|| Some(unpacked(&packed()?))), ..named }
+            let colors = named.colors.or_else(|| Some(unpacked(&packed()?)));
+            Attributes { colors, viewpoint: pcd::viewpoint(&bytes), ..named }
         }
         PointFormat::Text => Attributes::named(&|names| text_columns(&bytes, names)),
         PointFormat::Kitti | PointFormat::Nuscenes | PointFormat::Sweep(_) => {
@@ -77,7 +80,7 @@ fn text_columns(bytes: &[u8], names: [&str; 3]) -> Option<Vec<[f64; 3]>> {
 fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
     let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
     let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
-    Attributes { colors, intensity, normals: None }
+    Attributes { colors, intensity, ..Attributes::default() }
 }
 
 /// Colours that stand in the lower bytes of a number.
@@ -95,6 +98,7 @@ impl Attributes {
             colors,
             intensity: intensity.map(|rows| rows.iter().map(|row| row[0] as f32).collect()),
             normals: any(&NORMALS).map(|rows| rows.iter().map(|row| row.map(|v| v as f32)).collect()),
+            viewpoint: None,
         }
     }
 
@@ -104,17 +108,18 @@ impl Attributes {
             colors: self.colors.filter(|values| values.len() == num_points),
             intensity: self.intensity.filter(|values| values.len() == num_points),
             normals: self.normals.filter(|values| values.len() == num_points),
+            viewpoint: self.viewpoint,
         }
     }
 
     /// The number of values of each attribute that there is.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
-        let Self { colors, intensity, normals } = self;
+        let Self { colors, intensity, normals, .. } = self;
         let numbers = [colors.as_ref().map(Vec::len), intensity.as_ref().map(Vec::len), normals.as_ref().map(Vec::len)];
         numbers.into_iter().flatten()
     }
 
-    /// The attributes of the points under a transform, which rotates the normals.
+    /// The attributes of the points under a transform, which rotates the normals and moves the sensor.
     #[must_use]
     pub fn transformed(mut self, transform: &RigidTransform) -> Self {
         let rows = transform.to_matrix();
@@ -122,10 +127,15 @@ impl Attributes {
             std::array::from_fn(|row| (0..3).map(|axis| rows[row][axis] * f64::from(normal[axis])).sum::<f64>() as f32)
         };
         self.normals.iter_mut().flatten().for_each(|normal| *normal = rotated(*normal));
+        let moved = |[x, y, z]: [f64; 3]| rows.map(|[a, b, c, t]| a * x + b * y + c * z + t);
+        self.viewpoint = self.viewpoint.map(|at| {
+            let [x, y, z, _] = moved(at);
+            [x, y, z]
+        });
         self
     }
 
-    /// Those of several clouds one after another: what all of them have.
+    /// Those of several clouds one after another: what all of them have. Only one cloud has one sensor.
     pub fn joined(parts: &[Self]) -> Self {
         fn all<T: Clone>(parts: &[Attributes], of: impl Fn(&Attributes) -> Option<&Vec<T>>) -> Option<Vec<T>> {
             parts
@@ -138,6 +148,7 @@ impl Attributes {
             colors: all(parts, |part| part.colors.as_ref()),
             intensity: all(parts, |part| part.intensity.as_ref()),
             normals: all(parts, |part| part.normals.as_ref()),
+            viewpoint: if let [part] = parts { part.viewpoint } else { None },
         }
     }
 }
@@ -166,6 +177,7 @@ mod tests {
             colors: Some((0..number).map(|i| [i as u8, 255, 7]).collect()),
             intensity: Some((0..number).map(|i| i as f32 * 0.5).collect()),
             normals: Some((0..number).map(|i| if i % 2 == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.6, 0.8] }).collect()),
+            viewpoint: None,
         }
     }
 
@@ -211,5 +223,20 @@ mod tests {
         let joined = Attributes::joined(&[moved, Attributes { colors: None, ..attributes(1) }]);
         assert_eq!((joined.colors, joined.intensity.map(|values| values.len())), (None, Some(3)));
         assert_eq!(Attributes::joined(&[]).intensity, Some(vec![]));
+    }
+
+    #[test]
+    fn the_sensor_of_a_pcd_file_moves_with_its_points() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcd");
+        let seen = Attributes { viewpoint: Some([1.0, 2.0, 3.0]), ..Attributes::default() };
+        let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let moved = seen.transformed(&RigidTransform::from_matrix(rows).unwrap());
+        for origin in [[0.0; 3], [5e6, 0.0, -2.0]] {
+            write_cloud(&path, &[[0.0, 1.0, 2.0]; 3], &moved, origin).unwrap();
+            let expected = [1.0 + origin[0], 1.0, 3.0 + origin[2]];
+            assert_eq!(read_attributes(&path, None, 3).unwrap().viewpoint, Some(expected));
+        }
+        assert_eq!(Attributes::joined(&[moved.clone(), moved]).viewpoint, None);
     }
 }

@@ -31,14 +31,16 @@ pub(crate) fn origin(bytes: &[u8]) -> [f64; 3] {
     lines.filter_map(parse_origin).next().unwrap_or_default()
 }
 
-/// The position of the sensor in a header, if it is not zero. The orientation after it is not read.
+/// The position of the sensor in a header, if it is not zero, with the origin that a file of this crate states. The
+/// orientation after it is not read.
 pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
     let lines = Lines::from_header(bytes).take_while(|(_, line)| !line.starts_with(b"DATA"));
     let line = lines.map(|(_, line)| text(line)).find(|line| line.starts_with("VIEWPOINT"))?;
     let numbers =
         line.split_whitespace().skip(1).take(3).map(|number| number.parse().ok().filter(|v: &f64| v.is_finite()));
     let position: [f64; 3] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
-    (position != [0.0; 3]).then_some(position)
+    let origin = origin(bytes);
+    (position != [0.0; 3]).then(|| std::array::from_fn(|axis| position[axis] + origin[axis]))
 }
 
 /// Reads the fields x, y, z of any scalar type, and adds the origin that a file of this crate states. `nan`, which

@@ -49,7 +49,7 @@ impl KeypointFormat {
                     [x, y, z, packed(color(keypoint.saliency)), saliency, occupancy, index, confidence]
                 });
                 let columns = [x, y, z, ("rgb", Kind::Float), saliency, occupancy, index, confidence];
-                Table { columns, num_rows, rows }.write_pcd(out, source.origin)
+                Table { columns, num_rows, rows }.write_pcd(out, source.origin, None)
             }
             Self::Npy | Self::Csv => {
                 let rows = keypoints.iter().map(|keypoint| {
@@ -97,14 +97,14 @@ impl CloudFormat {
                 let columns = [&axes([0.0; 3])[..], &self.attribute_columns(attributes)].concat();
                 let near = points.iter().map(|point| point.map(f64::from)).enumerate();
                 let rows = near.map(|(index, position)| self.row(position, attributes, index));
-                Table { columns, num_rows, rows }.write_pcd(out, origin)
+                Table { columns, num_rows, rows }.write_pcd(out, origin, attributes.viewpoint)
             }
         }
     }
 
     /// The columns after the coordinates.
     fn attribute_columns(self, attributes: &Attributes) -> Vec<Column> {
-        let Attributes { colors, intensity, normals } = attributes;
+        let Attributes { colors, intensity, normals, .. } = attributes;
         let (normal_names, color_columns): ([&str; 3], &[Column]) = match self {
             Self::Pcd => (["normal_x", "normal_y", "normal_z"], &[("rgb", Kind::Float)]),
             _ => (["nx", "ny", "nz"], &[("red", Kind::Byte), ("green", Kind::Byte), ("blue", Kind::Byte)]),
@@ -116,7 +116,7 @@ impl CloudFormat {
 
     /// The values of a point, in the order of the columns.
     fn row(self, position: [f64; 3], attributes: &Attributes, index: usize) -> Vec<f64> {
-        let Attributes { colors, intensity, normals } = attributes;
+        let Attributes { colors, intensity, normals, .. } = attributes;
         let mut row = position.to_vec();
         row.extend(normals.iter().flat_map(|normals| normals[index].map(f64::from)));
         match colors.as_ref().map(|colors| colors[index]) {

@@ -1,5 +1,6 @@
 //! Step 6: whether the best transform can be relied on.
 
+mod alike;
 mod constraint;
 mod evidence;
 mod open_motions;
@@ -36,6 +37,24 @@ use standing::{contradicted_at_one_place, standing_note};
 tuning! {
     /// A transform is reliable from this confidence on.
     reliable: f64 = 0.5, unit "probability", from "by the definition of the bias, a probability of about 0.95";
+    /// A cloud looks like itself only at places that are this far apart.
+    elsewhere: f64 = 4.0, unit "inlier distances", from "so that no match is of a place with itself";
+    /// Number of places that are matched with other places of their cloud.
+    self_matches: usize = 300, unit "places", from "set for time";
+    /// Number of motions under which a cloud looks like itself, at most.
+    self_motions: usize = 4, unit "motions", from "set for time";
+    /// Shorter motions under which a cloud looks like itself are left to slides and shifts, unless the
+    /// sensors are at one place.
+    min_self_motion: f64 = 8.0, unit "inlier distances",
+        from "beside right transforms of real rooms, details repeat after 2 to 10";
+    /// A rival's surfaces fit by this where the sensors are apart, and where they are at one place.
+    self_fit: [f64; 2] = [0.75, 0.4], unit "shares of the winner's fit",
+        from "stairwells have 0.99, ramps 0.55 to 0.7, traffic that keeps pace 0.41 to 0.54 (tests/bench/alike_pairs.py, seeds 0 to 3)";
+    /// A rival contradicts at most this of the places that tell the two apart: sensors apart, and at
+    /// one place, where one pattern of rays coincides point by point.
+    self_contradicted: [f64; 2] = [0.35, 0.43], unit "shares of the places that the winner explains and that tell",
+        from "stairs 0.12 to 0.14, stairwells 0.16 to 0.32, ramps 0.40 to 0.44, traffic 0.29 to 0.42; streets 0.46 and more (same seeds)";
+
     /// Number of other transforms that may be rivals of the best, at most.
     rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
     /// Another transform is a rival if its fit of the surfaces is above this share of the best fit.
@@ -317,7 +336,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     verdict.notes.splice(0..0, contradicted.map(standing_note));
     verdict.is_ambiguous |= equal.iter().any(|rival| !rival.is_mirrored());
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(verdict.repeat_fit, f64::max);
-    verdict.notes.splice(0..0, equal.iter().map(Rival::note));
+    verdict.notes.splice(0..0, equal.iter().map(|rival| rival.note(transform)));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());
     registration.hypotheses.splice(1..1, others);
@@ -444,7 +463,7 @@ fn outlier_notes(pair: &Pair) -> impl Iterator<Item = String> {
 }
 
 /// A question about the units, if the clouds' sizes differ much.
-fn units_note(diameters: [f64; 2]) -> Option<String> {
+pub(crate) fn units_note(diameters: [f64; 2]) -> Option<String> {
     let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
     (ratio > TUNING.unit_ratio)
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
