@@ -76,7 +76,15 @@ impl Alignment {
     /// What a pickle holds: all attributes.
     fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
         let names = [
-            "poses", "parts", "covariances", "edges", "contradictions", "notes", "num_pairs", "num_skipped", "seconds",
+            "poses",
+            "parts",
+            "covariances",
+            "edges",
+            "contradictions",
+            "notes",
+            "num_pairs",
+            "num_skipped",
+            "seconds",
         ];
         attributes(this, names)
     }

@@ -412,10 +412,30 @@ def forest(rng) -> AlikePair:
     return twice(world, poses, lidar(32, 700, -25, 25), rng, 0.015, 45.0)
 
 
+def still(rng) -> AlikePair:
+    """A sensor that stands in a street while one car passes, or in a room in which one thing moved."""
+    is_street = rng.random() < 0.5
+    worlds = [Solids(), Solids()]
+    same = Solids()
+    if is_street:
+        houses(same, rng)
+    else:
+        same = furnished(rng)
+    t = pose([0, 0, 1.8], 30.0) if is_street else pose(clear(same, rng, ROOM), 30.0)
+    for number, world in enumerate(worlds):
+        world.rows += same.rows
+        if is_street:
+            box(world, [8 - 20 * number, 3, 0.75], [4.2, 1.8, 1.5])
+        else:
+            box(world, [1.5 + 2.5 * number, 2.5, 0.5], [0.6, 0.6, 1.0])
+    rays = lidar(32, 700, -25, 12) if is_street else lidar(48, 400, -60, 60)
+    return between(worlds, [t, t], rays, rng, 0.01, 60.0)
+
+
 KINDS: dict[str, Callable[[np.random.Generator], AlikePair]] = {
     make.__name__: make
     for make in (stairs, ramp, stairwell, motorway, slope, fence, facade, rack, mirrored, changed, room, camera_room)
-    + (street, boxes, trees, rotunda, stadium, terrace, station, forest)
+    + (street, boxes, trees, rotunda, stadium, terrace, station, forest, still)
 }
 
 

@@ -123,7 +123,8 @@ impl FineCloud {
         let mut cells = HashSet::new();
         let is_new = |index: &usize| cells.insert(points[*index].map(|v| (v / spacing).floor() as i64));
         let kept: Vec<usize> = (0..points.len()).filter(is_new).collect();
-        let place = |&index: &usize| Place { point: points[index], normal: self.patch(index).map(|patch| patch.normal) };
+        let place =
+            |&index: &usize| Place { point: points[index], normal: self.patch(index).map(|patch| patch.normal) };
         kept.par_iter().step_by(kept.len().div_ceil(count).max(1)).map(place).collect()
     }
 

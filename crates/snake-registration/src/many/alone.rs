@@ -26,9 +26,8 @@ pub(super) fn registered_alone(
         counter.check()?;
         counter.add(1);
         let viewpoint = |cloud: usize| given.viewpoints.get(cloud).copied().flatten();
-        let pair_options = PairOptions::default()
-            .with_source_viewpoint(viewpoint(source))
-            .with_target_viewpoint(viewpoint(target));
+        let pair_options =
+            PairOptions::default().with_source_viewpoint(viewpoint(source)).with_target_viewpoint(viewpoint(target));
         let clouds = [source, target].map(|cloud| given.points[cloud]);
         match register_with(clouds[0], clouds[1], given.model, given.options, &pair_options, &inner) {
             Ok(registration) => Ok(Some(([source, target], registration))),

@@ -47,3 +47,44 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     };
     chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::options::RegisterOptions;
+    use crate::rigid::{displacement, moved, tests::random_points};
+    use crate::steps::prepare;
+    use snake_core::Point;
+
+    #[test]
+    fn a_cloud_that_has_a_part_twice_looks_like_itself_under_the_motion_between_them() {
+        let motion = IsometryMatrix3::new(Vector3::new(6.0, 1.0, 0.5), Vector3::new(0.0, 0.0, 0.7));
+        // Six boxes, sampled on their faces.
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let (centers, sizes) = (random_points(&mut rng, 6), random_points(&mut rng, 6));
+        let surface = |(at, mut point): (usize, Point)| {
+            let part = at % centers.len();
+            point[at % 3] = point[at % 3].signum();
+            Vector::from_fn(|axis, _| {
+                f64::from(1.5 * centers[part][axis] + (0.2 + 0.4 * sizes[part][axis].abs()) * point[axis])
+            })
+        };
+        let part: Vec<Vector> = random_points(&mut rng, 12_000).into_iter().enumerate().map(surface).collect();
+        let both = part.iter().copied().chain(part.iter().map(|point| moved(&motion, point)));
+        let cloud: Vec<Point> = both.map(|point| point.map(|v| v as f32).into()).collect();
+        let prepared =
+            prepare(&[&cloud, &cloud], &[None, None], None, &RegisterOptions::default(), &Control::default());
+        let cloud = &prepared.unwrap().clouds[0];
+        let motions = self_motions(cloud, false).unwrap();
+        let is_found = |wanted: &IsometryMatrix3<f64>, points: &[Vector]| {
+            let error = |found| displacement(found, wanted, points);
+            motions.iter().map(error).fold(f64::INFINITY, f64::min) < cloud.lengths.inlier_distance
+        };
+        let there: Vec<Vector> = part.iter().map(|point| moved(&motion, point)).collect();
+        assert!(is_found(&motion, &part) || is_found(&motion.inverse(), &there), "{motions:?}");
+    }
+}

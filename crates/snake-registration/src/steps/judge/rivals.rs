@@ -213,11 +213,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
     }
 
     /// The transform near a guess that fits best; `None` if it does not fit the surfaces.
-    fn fitted(
-        &self,
-        motion: Motion,
-        guess: IsometryMatrix3<f64>,
-    ) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
+    fn fitted(&self, motion: Motion, guess: IsometryMatrix3<f64>) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
         let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
         let step = coarse_step(surfaces[0].points.len());
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
@@ -347,7 +343,9 @@ impl<'a, 'b> Scene<'a, 'b> {
     /// does not tell. A cloud without a known sensor is taken to show all there is.
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
         let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
-        self.fine[cloud].lies_on(place, self.fitting.pair.criteria().inlier_distance).or_else(|| is_free().then_some(false))
+        self.fine[cloud]
+            .lies_on(place, self.fitting.pair.criteria().inlier_distance)
+            .or_else(|| is_free().then_some(false))
     }
 }
 
