@@ -133,7 +133,8 @@ fn attributes<'py, const N: usize>(object: &Bound<'py, PyAny>, names: [&str; N])
 ///
 /// `clouds` is a sequence of 2 to 500 clouds (N, 3) in the forms of `detect` and in the same units. Pairs with similar
 /// descriptors are registered as by `register`, whose verdict decides: a transform counts if it is reliable, or if it is not
-/// ambiguous and loops of three transforms prove it. The poses fit these transforms, and transforms that contradict the others lose their weight.
+/// ambiguous and loops of three transforms prove it. The poses fit these transforms, and transforms that contradict the
+/// others lose their weight. `notes` name what `register` does not rely on, and ask about units.
 ///
 /// `viewpoints` has the sensor's position (3,) in the frame of each cloud, or None where it is not known. `initial_poses` has
 /// an approximate pose (4, 4) of each cloud in one common frame, or None where it is not known: pairs start from them beside
