@@ -197,11 +197,13 @@ tuning! {
     /// Number of such places of each cloud, at most.
     apart_places: usize = 600, unit "places", from "set for time";
     /// They hang together if one slide brings this share of them onto each other.
-    together: f64 = 0.35, unit "share of the places",
-        from "posts beside a motorway have 0.43 to 0.6 (tests/bench/alike_pairs.py, seeds 0 to 7), chance 0.15 to 0.22";
+    together: f64 = 0.2, unit "share of the places",
+        from "posts beside a motorway have 0.2 to 0.6, beside vehicles that drift (tests/bench/alike_pairs.py, seeds 0 to 7)";
+    /// Number of slides that are tried, at most.
+    slides_together: usize = 40, unit "slides", from "set by hand: things that moved alone come first";
     /// Places that hang together are a part of the scene, not one thing that moved, if they spread by this.
-    min_together_spread: f64 = 0.2, unit "share of the cloud's spread",
-        from "posts beside a motorway have 0.37 to 0.63, one car or piece of furniture 0.03 to 0.1 (same pairs, seeds 0 to 7)";
+    min_together_spread: f64 = 0.35, unit "share of the cloud's spread",
+        from "posts beside a motorway have 0.37 to 0.63, one car 0.05, furniture up to 0.3 (same pairs, seeds 0 to 11)";
     /// A turn explains the clouds about as well if the winner leads by at most the first and
     /// contradicts at most the second, where the sensors are known.
     turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";

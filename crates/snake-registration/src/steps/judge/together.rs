@@ -44,14 +44,16 @@ pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> R
     let source = apart(pair, 0, transform)?;
     let target = apart(pair, 1, &transform.inverse())?;
     let source: Vec<Vector> = source.iter().map(|point| moved(transform, point)).collect();
-    let Some(slide) = most_frequent_slide(&source, &target, distance) else { return Ok(None) };
     let grid = NearGrid::new(&target, 2.0 * TUNING.apart_spacing * distance);
-    let hits: Vec<Vector> =
-        source.iter().map(|point| point + slide).filter(|point| grid.nearest(point).is_some()).collect();
-    let share = hits.len() as f64 / source.len().min(target.len()) as f64;
-    let is_spread = spread(&hits) >= TUNING.min_together_spread * spread(&pair.clouds()[1].voxels.voxels.points);
-    let center = hits.iter().sum::<Vector>() / hits.len().max(1) as f64;
-    Ok((share >= TUNING.together && is_spread).then_some(Together { slide, share, center }))
+    let min_spread = TUNING.min_together_spread * spread(&pair.clouds()[1].voxels.voxels.points);
+    let together = |slide: Vector| {
+        let hits: Vec<Vector> =
+            source.iter().map(|point| point + slide).filter(|point| grid.nearest(point).is_some()).collect();
+        let share = hits.len() as f64 / source.len().min(target.len()) as f64;
+        let center = hits.iter().sum::<Vector>() / hits.len().max(1) as f64;
+        (share >= TUNING.together && spread(&hits) >= min_spread).then_some(Together { slide, share, center })
+    };
+    Ok(frequent_slides(&source, &target, distance).into_iter().find_map(together))
 }
 
 /// Places of a cloud that a transform does not bring onto the other cloud, though that is seen there or
@@ -72,9 +74,9 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
     Ok(all.iter().step_by(all.len().div_ceil(TUNING.apart_places).max(1)).copied().collect())
 }
 
-/// The mean of the slides from places of one cloud to those of another in the cell that has most of them;
-/// `None` if fewer than the least number of matches agree. Slides as short as a rival's least are left out.
-fn most_frequent_slide(source: &[Vector], target: &[Vector], distance: f64) -> Option<Vector> {
+/// The slides from places of one cloud to those of another on which most pairs agree, each the mean of a
+/// cell. Slides as short as a rival's least are left out, and those of few pairs.
+fn frequent_slides(source: &[Vector], target: &[Vector], distance: f64) -> Vec<Vector> {
     let mut cells: HashMap<[i64; 3], (usize, Vector)> = HashMap::new();
     for from in source {
         for to in target {
@@ -87,8 +89,10 @@ fn most_frequent_slide(source: &[Vector], target: &[Vector], distance: f64) -> O
             }
         }
     }
-    let (count, sum) = cells.into_iter().max_by_key(|(cell, (count, _))| (*count, *cell))?.1;
-    (count >= TUNING.min_agreeing).then(|| sum / count as f64)
+    let mut slides: Vec<_> = cells.into_iter().filter(|(_, (count, _))| *count >= TUNING.min_agreeing).collect();
+    slides.sort_by_key(|(cell, (count, _))| (usize::MAX - count, *cell));
+    slides.truncate(TUNING.slides_together);
+    slides.into_iter().map(|(_, (count, sum))| sum / count as f64).collect()
 }
 
 /// The root mean square distance of points from their mean.
