@@ -519,6 +519,7 @@ class Alignment:
         covariances: list[NDArray[np.float64]],
         edges: list[AlignmentEdge],
         contradictions: list[tuple[int, int, float, float]],
+        notes: list[str],
         num_pairs: int,
         num_skipped: list[int],
         seconds: float,
@@ -533,6 +534,8 @@ class Alignment:
     def edges(self) -> list[AlignmentEdge]: ...
     @property
     def contradictions(self) -> list[tuple[int, int, float, float]]: ...
+    @property
+    def notes(self) -> list[str]: ...
     @property
     def num_pairs(self) -> int: ...
     @property

@@ -25,6 +25,9 @@ pub struct Alignment {
     /// The reliable registrations that were left out because they contradict the initial poses: source, target, the distance
     /// of the source's points from where these put them, and the largest distance that does not contradict them.
     contradictions: Vec<(usize, usize, f64, f64)>,
+    /// Clouds whose units may be others, and pairs that are left out because `register` of the two does not rely on them, in
+    /// sentences.
+    notes: Vec<String>,
     /// Number of pairs that were registered.
     num_pairs: usize,
     /// Number of points of each cloud that were skipped because they are not finite.
@@ -62,16 +65,27 @@ impl Alignment {
         covariances: Vec<Py<PyArray2<f64>>>,
         edges: Vec<Py<AlignmentEdge>>,
         contradictions: Vec<(usize, usize, f64, f64)>,
+        notes: Vec<String>,
         num_pairs: usize,
         num_skipped: Vec<usize>,
         seconds: f64,
     ) -> Self {
-        Self { poses, parts, covariances, edges, contradictions, num_pairs, num_skipped, seconds }
+        Self { poses, parts, covariances, edges, contradictions, notes, num_pairs, num_skipped, seconds }
     }
 
     /// What a pickle holds: all attributes.
     fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        let names = ["poses", "parts", "covariances", "edges", "contradictions", "num_pairs", "num_skipped", "seconds"];
+        let names = [
+            "poses",
+            "parts",
+            "covariances",
+            "edges",
+            "contradictions",
+            "notes",
+            "num_pairs",
+            "num_skipped",
+            "seconds",
+        ];
         attributes(this, names)
     }
 
@@ -118,8 +132,9 @@ fn attributes<'py, const N: usize>(object: &Bound<'py, PyAny>, names: [&str; N])
 /// Finds the poses of many clouds that overlap in part, without initial poses.
 ///
 /// `clouds` is a sequence of 2 to 500 clouds (N, 3) in the forms of `detect` and in the same units. Pairs with similar
-/// descriptors are registered as by `register`. A transform counts if it is reliable or if loops of three transforms prove
-/// it. The poses fit these transforms, and transforms that contradict the others lose their weight.
+/// descriptors are registered as by `register`, whose verdict decides: a transform counts if it is reliable, or if it is not
+/// ambiguous and loops of three transforms prove it. The poses fit these transforms, and transforms that contradict the
+/// others lose their weight. `notes` name what `register` does not rely on, and ask about units.
 ///
 /// `viewpoints` has the sensor's position (3,) in the frame of each cloud, or None where it is not known. `initial_poses` has
 /// an approximate pose (4, 4) of each cloud in one common frame, or None where it is not known: pairs start from them beside
@@ -169,6 +184,7 @@ pub fn align(
             .iter()
             .map(|at| (at.source, at.target, at.distance, at.tolerance))
             .collect(),
+        notes: alignment.notes,
         edges: alignment.edges.iter().map(edge).collect::<PyResult<_>>()?,
         num_pairs: alignment.num_pairs,
         num_skipped: alignment.num_skipped,

@@ -102,7 +102,10 @@ impl InputArguments {
         if self.sample.is_some() || path == Path::new(DASH) {
             return Ok(Attributes::default());
         }
-        Ok(io::read_attributes(path, self.input_format, cloud.points.len())?)
+        let mut attributes = io::read_attributes(path, self.input_format, cloud.points.len())?;
+        // As the points, the sensor is relative to the cloud's origin.
+        attributes.viewpoint.iter_mut().flatten().zip(cloud.origin).for_each(|(v, origin)| *v -= origin);
+        Ok(attributes)
     }
 
     /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.

@@ -20,6 +20,8 @@ pub struct Attributes {
     pub intensity: Option<Vec<f32>>,
     /// Normals `(N, 3)`, in the cloud's frame.
     pub normals: Option<Vec<[f32; 3]>>,
+    /// The position of the sensor (3,), in the frame of the points: the `VIEWPOINT` of a PCD file.
+    pub viewpoint: Option<[f64; 3]>,
 }
 
 const COLORS: [[&str; 3]; 3] =
@@ -43,7 +45,10 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
     let named = |table: std::result::Result<Table, String>| table.map(Attributes::named).unwrap_or_default();
     let attributes = match format {
         PointFormat::Ply => named(ply::table(&bytes)),
-        PointFormat::Pcd => pcd::table(&bytes).map(|(table, _)| Attributes::packed(table)).unwrap_or_default(),
+        PointFormat::Pcd => {
+            let packed = pcd::table(&bytes).map(|(table, _)| Attributes::packed(table)).unwrap_or_default();
+            Attributes { viewpoint: pcd::viewpoint(&bytes), ..packed }
+        }
         PointFormat::Text => named(text::table(&bytes)),
         PointFormat::Kitti => named(sweep::table(&bytes, 4)),
         PointFormat::Nuscenes => named(sweep::table(&bytes, 5)),
@@ -65,7 +70,7 @@ fn any<const N: usize>(table: &Table, sets: &[[&str; N]]) -> Option<Vec<[f64; N]
 fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
     let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
     let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
-    Attributes { colors, intensity, normals: None }
+    Attributes { colors, intensity, ..Attributes::default() }
 }
 
 impl Attributes {
@@ -76,6 +81,7 @@ impl Attributes {
             colors: any(&table, &COLORS).map(|rows| to_bytes(&rows)),
             intensity: any(&table, &INTENSITIES).map(|rows| rows.iter().map(|[value]| *value as f32).collect()),
             normals: any(&table, &NORMALS).map(|rows| rows.iter().map(floats).collect()),
+            viewpoint: None,
         }
     }
 
@@ -93,17 +99,18 @@ impl Attributes {
             colors: self.colors.filter(|values| values.len() == num_points),
             intensity: self.intensity.filter(|values| values.len() == num_points),
             normals: self.normals.filter(|values| values.len() == num_points),
+            viewpoint: self.viewpoint,
         }
     }
 
     /// The number of values of each attribute that there is.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
-        let Self { colors, intensity, normals } = self;
+        let Self { colors, intensity, normals, .. } = self;
         let numbers = [colors.as_ref().map(Vec::len), intensity.as_ref().map(Vec::len), normals.as_ref().map(Vec::len)];
         numbers.into_iter().flatten()
     }
 
-    /// The attributes of the points under a transform, which rotates the normals.
+    /// The attributes of the points under a transform, which rotates the normals and moves the sensor.
     #[must_use]
     pub fn transformed(mut self, transform: &RigidTransform) -> Self {
         let rows = transform.to_matrix();
@@ -111,10 +118,15 @@ impl Attributes {
             std::array::from_fn(|row| (0..3).map(|axis| rows[row][axis] * f64::from(normal[axis])).sum::<f64>() as f32)
         };
         self.normals.iter_mut().flatten().for_each(|normal| *normal = rotated(*normal));
+        let moved = |[x, y, z]: [f64; 3]| rows.map(|[a, b, c, t]| a * x + b * y + c * z + t);
+        self.viewpoint = self.viewpoint.map(|at| {
+            let [x, y, z, _] = moved(at);
+            [x, y, z]
+        });
         self
     }
 
-    /// Those of several clouds one after another: what all of them have.
+    /// Those of several clouds one after another: what all of them have. Only one cloud has one sensor.
     pub fn joined(parts: &[Self]) -> Self {
         fn all<T: Clone>(parts: &[Attributes], of: impl Fn(&Attributes) -> Option<&Vec<T>>) -> Option<Vec<T>> {
             parts
@@ -127,6 +139,7 @@ impl Attributes {
             colors: all(parts, |part| part.colors.as_ref()),
             intensity: all(parts, |part| part.intensity.as_ref()),
             normals: all(parts, |part| part.normals.as_ref()),
+            viewpoint: if let [part] = parts { part.viewpoint } else { None },
         }
     }
 }
@@ -155,6 +168,7 @@ mod tests {
             colors: Some((0..number).map(|i| [i as u8, 255, 7]).collect()),
             intensity: Some((0..number).map(|i| i as f32 * 0.5).collect()),
             normals: Some((0..number).map(|i| if i % 2 == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.6, 0.8] }).collect()),
+            viewpoint: None,
         }
     }
 
@@ -200,5 +214,20 @@ mod tests {
         let joined = Attributes::joined(&[moved, Attributes { colors: None, ..attributes(1) }]);
         assert_eq!((joined.colors, joined.intensity.map(|values| values.len())), (None, Some(3)));
         assert_eq!(Attributes::joined(&[]).intensity, Some(vec![]));
+    }
+
+    #[test]
+    fn the_sensor_of_a_pcd_file_moves_with_its_points() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcd");
+        let seen = Attributes { viewpoint: Some([1.0, 2.0, 3.0]), ..Attributes::default() };
+        let rows = [[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+        let moved = seen.transformed(&RigidTransform::from_matrix(rows).unwrap());
+        for origin in [[0.0; 3], [5e6, 0.0, -2.0]] {
+            write_cloud(&path, &[[0.0, 1.0, 2.0]; 3], &moved, origin).unwrap();
+            let expected = [1.0 + origin[0], 1.0, 3.0 + origin[2]];
+            assert_eq!(read_attributes(&path, None, 3).unwrap().viewpoint, Some(expected));
+        }
+        assert_eq!(Attributes::joined(&[moved.clone(), moved]).viewpoint, None);
     }
 }

@@ -430,3 +430,38 @@ fn sweeps_are_refined_on_their_points() {
         "{moved} m, {angle} degrees: {registration:?}"
     );
 }
+
+/// What a sensor on a motorway sees before it moved by `along`, with vehicles that keep pace with it, or
+/// after. Rails and ground are the same everywhere, posts stand still.
+fn motorway(along: f64, seed: u64) -> Vec<Point> {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut boxes = vec![[[-300.0, -60.0, -1.0], [300.0, 60.0, 0.0]]];
+    boxes.extend([-11.0, 11.0].map(|y| [[-300.0, y - 0.1, 0.0], [300.0, y + 0.1, 0.8]]));
+    for _ in 0..40 {
+        let (x, y) = (rng.random_range(-70.0..95.0) - along, if rng.random_bool(0.5) { 12.5 } else { -12.5 });
+        boxes.push([[x - 0.12, y - 0.12, 0.0], [x + 0.12, y + 0.12, 6.0]]);
+    }
+    for (x, y, size) in [
+        (9.0, 1.8, [4.5, 1.8, 1.5]),
+        (-25.0, 1.8, [12.0, 2.5, 3.8]),
+        (18.0, -5.2, [4.5, 1.8, 1.5]),
+        (-12.0, -5.2, [12.0, 2.5, 3.8]),
+        (30.0, -1.8, [12.0, 2.5, 3.8]),
+        (-9.0, 5.2, [4.5, 1.8, 1.5]),
+        (24.0, 5.2, [4.5, 1.8, 1.5]),
+    ] {
+        boxes.push([[x, y - size[1] / 2.0, 0.0], [x + size[0], y + size[1] / 2.0, size[2]]]);
+    }
+    Scene { boxes, ..Default::default() }.seen([0.0, -1.8, 1.9], &lidar(-0.43, 0.17), 90.0, 0.01, seed)
+}
+
+#[test]
+fn posts_that_stand_still_beside_traffic_that_keeps_pace_make_it_ambiguous() {
+    let registration = run(&motorway(0.0, 1), &motorway(17.0, 2)).unwrap();
+    assert!(registration.verdict.is_ambiguous && !registration.verdict.is_reliable, "{registration:?}");
+    let note = registration.verdict.notes.iter().find(|note| note.contains("as a whole")).unwrap();
+    assert!(note.contains("moved by 17.") || note.contains("moved by 16.9"), "{note}");
+    // If the sensor did stand still, nothing moved as a whole.
+    let registration = run(&motorway(0.0, 1), &motorway(0.0, 2)).unwrap();
+    assert!(registration.verdict.notes.iter().all(|note| !note.contains("as a whole")), "{registration:?}");
+}

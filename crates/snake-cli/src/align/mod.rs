@@ -116,7 +116,7 @@ fn object(alignment: &Alignment, inputs: &[PathBuf], merged_origin: [f64; 3]) ->
 }
 
 fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Report {
-    let Alignment { parts, edges, contradictions, poses, num_pairs, num_skipped, seconds, .. } = alignment;
+    let Alignment { parts, edges, contradictions, notes, poses, num_pairs, num_skipped, seconds, .. } = alignment;
     let mut report = Report::default();
     let connected = if parts.len() == 1 { "one part".into() } else { format!("{} parts", parts.len()) };
     report.line(format!("{} clouds in {connected}, by {} of {num_pairs} pairs", inputs.len(), edges.len()));
@@ -137,6 +137,7 @@ fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Repor
             "left out: {source} to {target} is {distance:.3} from the initial poses, more than {tolerance:.3} (pose_tolerance)"
         ));
     }
+    notes.iter().for_each(|note| report.line(note));
     report.line(format!("{seconds:.3} s"));
     let skipped: usize = num_skipped.iter().sum();
     if skipped > 0 {

@@ -68,7 +68,12 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
         near.instances.iter().map(|instance| instance.t_target_source).collect()
     };
     let registration = near.between_origins(source_cloud.origin, target_cloud.origin);
+    let mut attributes = match aligned {
+        Some(_) => arguments.input.read_attributes(source, &source_cloud)?,
+        None => Attributes::default(),
+    };
     // From here on the source has the target's scale.
+    attributes.viewpoint.iter_mut().flatten().for_each(|v| *v *= registration.scale);
     let source_cloud = scaled(source_cloud, registration.scale);
     if let Some(path) = output {
         io::write_registration(path, &registration.t_target_source, &registration)?;
@@ -76,7 +81,6 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
         let moved: Vec<Point> = poses.iter().flat_map(|pose| transform_points(pose, &source_cloud.points)).collect();
-        let attributes = arguments.input.read_attributes(source, &source_cloud)?;
         let attributes: Vec<Attributes> = poses.iter().map(|pose| attributes.clone().transformed(pose)).collect();
         io::write_cloud(path, &moved, &Attributes::joined(&attributes), target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);

@@ -34,12 +34,17 @@ fn finite<'a>(words: impl Iterator<Item = &'a str>) -> Option<[f64; 3]> {
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let (header, lines) = Header::parse(bytes)?;
     let axes = header.axes()?;
-    let (origin, viewpoint) = (header.origin, header.viewpoint);
+    let (origin, viewpoint) = (header.origin, header.viewpoint());
     let mut points = header.table(lines)?.read(axes)?;
     if let Some(origin) = origin {
         points.iter_mut().for_each(|point| *point = std::array::from_fn(|axis| point[axis] + origin[axis]));
     }
     Ok(Shape { points, viewpoint, ..Shape::default() })
+}
+
+/// The position of the sensor in a header, if it is not zero, with the origin that a file of this crate states.
+pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
+    Header::parse(bytes).ok()?.0.viewpoint()
 }
 
 /// All fields of one number, and the origin of the points. Packed colours are the number of their bits.
@@ -132,6 +137,12 @@ impl Header {
             }
         }
         Err("no line DATA: not a PCD file, or cut short within its header".into())
+    }
+
+    /// The position of the sensor, with the origin: the file's is relative to it, as the points are.
+    fn viewpoint(&self) -> Option<[f64; 3]> {
+        let origin = self.origin.unwrap_or_default();
+        self.viewpoint.map(|position| std::array::from_fn(|axis| position[axis] + origin[axis]))
     }
 
     /// The place of x, y and z among the fields of one number.

@@ -47,7 +47,7 @@ impl KeypointFormat {
         let rows = Rows { columns, num_rows: keypoints.len(), rows: keypoints.iter().map(row) };
         match self {
             Self::Ply => rows.write_ply(out),
-            Self::Pcd => rows.write_pcd(out, source.origin),
+            Self::Pcd => rows.write_pcd(out, source.origin, None),
             Self::Npy => rows.write_npy(out),
             Self::Csv => rows.write_csv(out),
             Self::Json => json::write(out, keypoints, source.origin),
@@ -73,7 +73,7 @@ impl CloudFormat {
         attributes: &Attributes,
         origin: [f64; 3],
     ) -> io::Result<()> {
-        let Attributes { colors, intensity, normals } = match self {
+        let Attributes { colors, intensity, normals, viewpoint } = match self {
             Self::Npy | Self::Xyz => &Attributes::default(),
             Self::Ply | Self::Pcd | Self::Csv => attributes,
         };
@@ -95,7 +95,7 @@ impl CloudFormat {
         let rows = Rows { columns, num_rows: points.len(), rows: points.iter().enumerate().map(row) };
         match self {
             Self::Ply => rows.write_ply(out),
-            Self::Pcd => rows.write_pcd(out, origin),
+            Self::Pcd => rows.write_pcd(out, origin, *viewpoint),
             Self::Npy => rows.write_npy(out),
             Self::Xyz => rows.write_lines(out, " "),
             Self::Csv => rows.write_csv(out),

@@ -31,8 +31,14 @@ impl<C: AsRef<[Column]>, R: Iterator<Item: AsRef<[f64]>>> Rows<C, R> {
         Ok(())
     }
 
-    /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is one.
-    pub(crate) fn write_pcd(self, out: &mut dyn Write, origin: [f64; 3]) -> io::Result<()> {
+    /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is one; the position of the
+    /// sensor is relative to it, as the points are.
+    pub(crate) fn write_pcd(
+        self,
+        out: &mut dyn Write,
+        origin: [f64; 3],
+        viewpoint: Option<[f64; 3]>,
+    ) -> io::Result<()> {
         let columns = self.columns.as_ref();
         let words = |of: fn(&Column) -> String| columns.iter().map(of).collect::<Vec<_>>().join(" ");
         let kinds = words(|(_, scalar)| char::from(scalar.kind).to_uppercase().to_string());
@@ -43,7 +49,8 @@ impl<C: AsRef<[Column]>, R: Iterator<Item: AsRef<[f64]>>> Rows<C, R> {
             writeln!(out, "{}", pcd::origin_comment(origin))?;
         }
         write!(out, "VERSION 0.7\nFIELDS {names}\nSIZE {sizes}\n")?;
-        write!(out, "TYPE {kinds}\nCOUNT {counts}\nWIDTH {rows}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n")?;
+        let [x, y, z] = viewpoint.unwrap_or_default();
+        write!(out, "TYPE {kinds}\nCOUNT {counts}\nWIDTH {rows}\nHEIGHT 1\nVIEWPOINT {x} {y} {z} 1 0 0 0\n")?;
         write!(out, "POINTS {rows}\nDATA binary\n")?;
         for row in self.rows {
             let values = columns.iter().zip(row.as_ref());

@@ -1,6 +1,7 @@
 //! Planar patches of the clouds as they were measured, in fine voxels, and what two clouds share of
 //! them.
 
+use std::collections::HashSet;
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
@@ -114,6 +115,17 @@ impl FineCloud {
     /// About `count` of the fine voxels.
     pub(crate) fn sample(&self, count: usize) -> Vec<Place> {
         self.places_of(count, |_| Some(IsometryMatrix3::identity()))
+    }
+
+    /// At most about `count` of the fine voxels, no two in one cube of side `spacing`.
+    pub(crate) fn thinned(&self, spacing: f64, count: usize) -> Vec<Place> {
+        let points = &self.cloud.points;
+        let mut cells = HashSet::new();
+        let is_new = |index: &usize| cells.insert(points[*index].map(|v| (v / spacing).floor() as i64));
+        let kept: Vec<usize> = (0..points.len()).filter(is_new).collect();
+        let place =
+            |&index: &usize| Place { point: points[index], normal: self.patch(index).map(|patch| patch.normal) };
+        kept.par_iter().step_by(kept.len().div_ceil(count).max(1)).map(place).collect()
     }
 
     /// About `count` of the fine voxels under a transform, without those that are then farther from

@@ -17,6 +17,8 @@ pub(super) struct Witness {
     pub(super) target: usize,
     pub(super) t_target_source: IsometryMatrix3<f64>,
     pub(super) confidence: f64,
+    /// Whether the clouds leave more than one answer: no loop outvotes that.
+    pub(super) is_ambiguous: bool,
     /// A loop is closed if it moves points by less than this (root mean square), or that of another
     /// of its transforms.
     pub(super) distance: f64,
@@ -46,6 +48,9 @@ pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> 
         let mut thirds: Vec<usize> = by_cloud[source].keys().copied().collect();
         thirds.sort_unstable();
         let mut doubt = 1.0 - witness.confidence;
+        if witness.is_ambiguous {
+            return doubt;
+        }
         for third in thirds {
             let Some(&last) = by_cloud[target].get(&third) else { continue };
             let first = by_cloud[source][&third];
@@ -81,6 +86,7 @@ mod tests {
             target,
             t_target_source: poses[target].inverse() * poses[source],
             confidence,
+            is_ambiguous: false,
             distance: 0.05,
         };
         let mut witnesses = vec![witness(0, 1, 0.9), witness(2, 1, 0.8), witness(0, 2, 0.1), witness(3, 0, 0.3)];
@@ -89,6 +95,9 @@ mod tests {
         assert!((doubtful[2] - 0.9 * (1.0 - 0.72)).abs() < 1e-12, "{doubtful:?}");
         assert!(doubtful[0] < 0.1 && doubtful[1] < 0.2);
         assert_eq!(doubtful[3], 1.0 - 0.3);
+        witnesses[2].is_ambiguous = true;
+        assert_eq!(doubts(&witnesses, &probes)[2], 1.0 - 0.1);
+        witnesses[2].is_ambiguous = false;
         // A wrong transform closes no loop.
         witnesses[2].t_target_source.translation.vector.x += 0.2;
         let doubtful = doubts(&witnesses, &probes);

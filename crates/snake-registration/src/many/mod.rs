@@ -1,5 +1,6 @@
 //! The poses of many clouds: registrations of pairs, checked by loops, in a robust pose graph.
 
+mod alone;
 mod candidates;
 mod graph;
 mod loops;
@@ -25,13 +26,15 @@ use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
 use crate::register::{Effort, register_guessed};
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
+use crate::steps::judge::units_note;
 use crate::steps::{Pair, PreparedCloud};
 use crate::tuning::tuning;
+use alone::registered_alone;
 use priors::Priors;
 pub use result::{Alignment, Contradiction, Edge, Pose};
 use scales::{Given, Scales};
 use second_look::look_again;
-use solved::solve;
+use solved::{believed, solve};
 
 tuning! {
     /// Number of clouds, at most: the poses are solved for in one dense matrix.
@@ -92,8 +95,8 @@ tuning! {
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
 /// All clouds have the same units. Pairs with similar descriptors are registered as by
-/// [`register`](crate::register()). A transform counts if it is reliable, or if loops of three
-/// transforms prove it. The poses fit these transforms, each weighed by its information matrix;
+/// [`register`](crate::register()), whose verdict decides: a transform counts if it is reliable, or if
+/// it is not ambiguous and loops of three transforms prove it. The poses fit these transforms, each weighed by its information matrix;
 /// those that contradict the others lose their weight. Clouds that no chain of transforms links are
 /// in different parts. A detector or descriptor that runs a model gets it from [`align_with`].
 ///
@@ -149,9 +152,17 @@ pub fn align_with(
     let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
     let mut contradictions = HashMap::new();
+    let mut left_out = Vec::new();
+    // What poses were given for is judged with them.
+    let mut judged = |registered: Vec<Registered>| {
+        let mut pairs = believed(&scales, &registered);
+        pairs.retain(|pair| !priors.has(*pair));
+        registered_alone(&given, registered, &pairs, &mut left_out, control)
+    };
     let registered = priors.filter(register_pairs(&scales, &priors, &free, options, control)?, &mut contradictions);
-    let mut solved = solve(&scales, registered, options, control)?;
+    let mut solved = solve(&scales, judged(registered)?, options, control)?;
     let closer = priors.filter(look_again(&scales, &solved, options, control)?, &mut contradictions);
+    let closer = judged(closer)?;
     solved = solved.with(closer, &scales, options, control)?;
     // The poses say which other clouds overlap, and where.
     let guided = solved.guesses(&scales);
@@ -161,11 +172,15 @@ pub fn align_with(
     let mut contradictions: Vec<Contradiction> = contradictions.into_values().collect();
     contradictions.retain(|at| edges.iter().all(|edge| (edge.source, edge.target) != (at.source, at.target)));
     contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
+    left_out.retain(|(pair, _)| edges.iter().all(|edge| [edge.source, edge.target] != *pair));
+    left_out.sort();
+    let notes = units_notes(clouds).into_iter().chain(left_out.into_iter().map(|(_, note)| note)).collect();
     Ok(Alignment {
         poses,
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
         edges,
         contradictions,
+        notes,
         num_pairs: free.len() + guided.len(),
         num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
         seconds: start.elapsed().as_secs_f64(),
@@ -181,6 +196,17 @@ fn check_count(count: usize) -> Result<()> {
         });
     }
     Ok(())
+}
+
+/// A question about the units of each cloud whose size differs much from that of the median one.
+fn units_notes(clouds: &[PreparedCloud]) -> Vec<String> {
+    let mut diameters: Vec<f64> = clouds.iter().map(|cloud| cloud.diameter).collect();
+    diameters.sort_by(f64::total_cmp);
+    let median = diameters[(diameters.len() - 1) / 2];
+    let note = |(index, cloud): (usize, &PreparedCloud)| {
+        Some(format!("cloud {index} (from 0): {}", units_note([cloud.diameter, median])?))
+    };
+    clouds.iter().enumerate().filter_map(note).collect()
 }
 
 /// Computes the descriptors of every cloud that its pairs will need.

@@ -61,6 +61,11 @@ impl Priors {
         Some(self.poses[target]?.inverse() * self.poses[source]?)
     }
 
+    /// Whether both clouds of a pair have a pose.
+    pub(super) fn has(&self, pair: [usize; 2]) -> bool {
+        self.t_target_source(pair).is_some()
+    }
+
     fn tolerance(&self, [source, target]: [usize; 2]) -> f64 {
         self.tolerances[source].min(self.tolerances[target])
     }

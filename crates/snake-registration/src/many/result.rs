@@ -18,6 +18,10 @@ pub struct Alignment {
     pub edges: Vec<Edge>,
     /// The reliable registrations that were left out because they contradict the initial poses.
     pub contradictions: Vec<Contradiction>,
+    /// Clouds whose units may be others, and pairs that are left out because
+    /// [`register`](crate::register()) of the two does not rely on them, in sentences.
+    #[serde(default)]
+    pub notes: Vec<String>,
     /// Number of pairs that were registered.
     pub num_pairs: usize,
     /// Number of points of each cloud that were skipped because they are not finite, or are

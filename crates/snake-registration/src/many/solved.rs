@@ -17,7 +17,7 @@ use super::scales::Scales;
 use super::{Edge, Pose, Registered, Trial};
 use crate::cloud::surface::Surface;
 use crate::options::RegisterOptions;
-use crate::result::Registration;
+use crate::result::{Registration, Verdict};
 use crate::rigid::moved;
 use crate::steps::{PreparedCloud, judge};
 
@@ -43,11 +43,7 @@ pub(super) fn solve(
     let counter = control.begin("poses", 0);
     let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
     let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
-    let witnesses: Vec<Witness> = registered
-        .iter()
-        .map(|(pair, registration)| witness(*pair, registration, TUNING.loop_distance * distance(pair)))
-        .collect();
-    let all = doubts(&witnesses, &probes);
+    let all = all_doubts(scales, &registered, &probes);
     let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= TUNING.max_doubt).collect();
     let links: Vec<Link> = kept.iter().map(|&i| link(registered[i].0, &registered[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
@@ -67,6 +63,21 @@ pub(super) fn solve(
         }
     }
     Ok(Solved { registered, kept, doubts, links, parts })
+}
+
+/// The pairs whose registrations would take part in the poses.
+pub(super) fn believed(scales: &Scales, registered: &[Registered]) -> Vec<[usize; 2]> {
+    let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
+    let doubts = all_doubts(scales, registered, &probes).into_iter();
+    doubts.zip(registered).filter(|(doubt, _)| *doubt <= TUNING.max_doubt).map(|(_, (pair, _))| *pair).collect()
+}
+
+/// The probability that each registration is wrong.
+fn all_doubts(scales: &Scales, registered: &[Registered], probes: &[Vec<Vector>]) -> Vec<f64> {
+    let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
+    let witness =
+        |(pair, registration): &Registered| witness(*pair, registration, TUNING.loop_distance * distance(pair));
+    doubts(&registered.iter().map(witness).collect::<Vec<_>>(), probes)
 }
 
 /// The surfaces of the clouds of a part.
@@ -205,7 +216,8 @@ pub(super) fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
 
 fn witness([source, target]: [usize; 2], registration: &Registration, distance: f64) -> Witness {
     let t_target_source = *registration.t_target_source.isometry();
-    Witness { source, target, t_target_source, confidence: registration.verdict.confidence, distance }
+    let Verdict { confidence, is_ambiguous, .. } = registration.verdict;
+    Witness { source, target, t_target_source, confidence, is_ambiguous, distance }
 }
 
 fn link([source, target]: [usize; 2], registration: &Registration) -> Link {

@@ -108,3 +108,12 @@ fn bad_clouds_and_options_are_refused() {
     let stopped = align_with(&clouds, &AlignPriors::default(), None, &default, &AlignOptions::default(), &control);
     assert!(matches!(stopped, Err(Error::Cancelled)));
 }
+
+#[test]
+fn a_cloud_in_other_units_is_asked_about() {
+    let (mut clouds, _) = clouds();
+    assert!(run(&clouds, &AlignOptions::default()).unwrap().notes.is_empty());
+    clouds[2].as_flattened_mut().iter_mut().for_each(|v| *v *= 1000.0);
+    let notes = run(&clouds, &AlignOptions::default()).unwrap().notes;
+    assert!(notes.len() == 1 && notes[0].starts_with("cloud 2 (from 0)") && notes[0].contains("units"), "{notes:?}");
+}

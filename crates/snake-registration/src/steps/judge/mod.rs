@@ -1,5 +1,6 @@
 //! Step 6: whether the best transform can be relied on.
 
+mod alike;
 mod constraint;
 mod evidence;
 mod open_motions;
@@ -9,6 +10,7 @@ mod scale;
 mod shifts;
 mod slide;
 mod standing;
+mod together;
 mod turns;
 
 use nalgebra::{IsometryMatrix3, Matrix6};
@@ -32,10 +34,29 @@ use slide::slide_margin;
 use snake_core::{Error, Result};
 use snake_geometry::RigidTransform;
 use standing::{contradicted_at_one_place, standing_note};
+use together::{Together, moved_together};
 
 tuning! {
     /// A transform is reliable from this confidence on.
     reliable: f64 = 0.5, unit "probability", from "by the definition of the bias, a probability of about 0.95";
+    /// A cloud looks like itself only at places that are this far apart.
+    elsewhere: f64 = 4.0, unit "inlier distances", from "so that no match is of a place with itself";
+    /// Number of places that are matched with other places of their cloud.
+    self_matches: usize = 300, unit "places", from "set for time";
+    /// Number of motions under which a cloud looks like itself, at most.
+    self_motions: usize = 6, unit "motions", from "set for time";
+    /// Shorter motions under which a cloud looks like itself are left to slides and shifts, unless the
+    /// sensors are at one place.
+    min_self_motion: f64 = 12.0, unit "inlier distances",
+        from "beside right transforms of real rooms, details repeat after 2 to 11; stairwells after 13 to 16";
+    /// A rival's surfaces fit by this where the sensors are apart, and where they are at one place.
+    self_fit: [f64; 2] = [0.75, 0.4], unit "shares of the winner's fit",
+        from "stairwells have 0.99, ramps 0.55 to 0.7, traffic that keeps pace 0.41 to 0.54 (tests/bench/alike_pairs.py, seeds 0 to 3)";
+    /// A rival contradicts at most this of the places that tell the two apart: sensors apart, and at
+    /// one place, where one pattern of rays coincides point by point.
+    self_contradicted: [f64; 2] = [0.35, 0.43], unit "shares of the places that the winner explains and that tell",
+        from "stairs 0.12 to 0.14, stairwells 0.16 to 0.32, ramps 0.40 to 0.44, traffic 0.29 to 0.42; streets 0.46 and more (same seeds)";
+
     /// Number of other transforms that may be rivals of the best, at most.
     rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
     /// Another transform is a rival if its fit of the surfaces is above this share of the best fit.
@@ -171,6 +192,18 @@ tuning! {
     /// doubtful.
     max_standing: f64 = 0.2, unit "share of the places in view",
         from "0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and after half of it moved";
+    /// Places that contradict sensors at one place are thinned to this distance.
+    apart_spacing: f64 = 0.25, unit "inlier distances", from "set by hand";
+    /// Number of such places of each cloud, at most.
+    apart_places: usize = 600, unit "places", from "set for time";
+    /// They hang together if one slide brings this share of them onto each other.
+    together: f64 = 0.2, unit "share of the places",
+        from "posts beside a motorway have 0.2 to 0.6, beside vehicles that drift (tests/bench/alike_pairs.py, seeds 0 to 7)";
+    /// Number of slides that are tried, at most.
+    slides_together: usize = 40, unit "slides", from "set by hand: things that moved alone come first";
+    /// Places that hang together are a part of the scene, not one thing that moved, if they spread by this.
+    min_together_spread: f64 = 0.35, unit "share of the cloud's spread",
+        from "posts beside a motorway have 0.37 to 0.63, one car 0.05, furniture up to 0.3 (same pairs, seeds 0 to 11)";
     /// A turn explains the clouds about as well if the winner leads by at most the first and
     /// contradicts at most the second, where the sensors are known.
     turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";
@@ -293,8 +326,8 @@ pub(crate) fn judge_counted(
 /// Tries other answers on purpose beside a transform that is reliable or ambiguous: the turns that
 /// lay the planes of the overlap on planes, and the shifts after which details of the target
 /// repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
-/// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. It is not
-/// reliable either if a mirror image fits better, or if scans that it puts at one place differ.
+/// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
+/// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a mirror image fits better, or if scans that it puts at one place differ.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -307,17 +340,19 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     let transform = registration.t_target_source.isometry();
     let standing = contradicted_at_one_place(pair, transform)?;
     let contradicted = standing.filter(|share| *share > TUNING.max_standing);
+    let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
     let mut equal = rivals(pair, transform, standing.is_some())?;
     equal.retain(Rival::is_equal);
-    if equal.is_empty() && contradicted.is_none() {
+    if equal.is_empty() && contradicted.is_none() && together.is_none() {
         return Ok(());
     }
     verdict.confidence = (verdict.confidence / 2.0).min(TUNING.max_doubtful);
     verdict.is_reliable = false;
     verdict.notes.splice(0..0, contradicted.map(standing_note));
-    verdict.is_ambiguous |= equal.iter().any(|rival| !rival.is_mirrored());
+    verdict.notes.splice(0..0, together.as_ref().map(Together::note));
+    verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(verdict.repeat_fit, f64::max);
-    verdict.notes.splice(0..0, equal.iter().map(Rival::note));
+    verdict.notes.splice(0..0, equal.iter().map(|rival| rival.note(transform)));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());
     registration.hypotheses.splice(1..1, others);
@@ -444,7 +479,7 @@ fn outlier_notes(pair: &Pair) -> impl Iterator<Item = String> {
 }
 
 /// A question about the units, if the clouds' sizes differ much.
-fn units_note(diameters: [f64; 2]) -> Option<String> {
+pub(crate) fn units_note(diameters: [f64; 2]) -> Option<String> {
     let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
     (ratio > TUNING.unit_ratio)
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))

@@ -1,16 +1,17 @@
 //! Other answers that are tried on purpose: the winner after a turn, a reflection or a shift under
-//! which the clouds look alike.
+//! which the clouds look alike, and after the motions under which the target looks like itself.
 
 use nalgebra::{IsometryMatrix3, Translation3};
 use rayon::prelude::*;
 
 use super::TUNING;
+use super::alike::self_motions;
 use super::open_motions::axis_name;
 use super::repeats::axes;
 use super::shifts::{Shift, shifts};
 use super::turns::{Turn, after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
-use crate::cloud::patches::{FineCloud, Place, overlap};
+use crate::cloud::patches::{self, FineCloud, Place, overlap};
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::displacement;
 use crate::steps::pair::Pair;
@@ -24,6 +25,8 @@ use snake_geometry::Vector;
 enum Motion {
     Turn(Turn),
     Shift(Shift),
+    /// A motion under which the target looks like itself.
+    Alike,
 }
 
 /// Another answer, compared with the winner place by place.
@@ -37,6 +40,8 @@ pub(super) struct Rival {
     /// Whether the winner puts the sensors of both clouds at one place.
     is_standing: bool,
     inlier_distance: f64,
+    /// The root mean square distance by which it moves the source from where the winner puts it.
+    moved: f64,
 }
 
 /// Numbers of places of both clouds.
@@ -44,6 +49,8 @@ pub(super) struct Rival {
 struct Counts {
     /// Places that both transforms bring onto the other cloud.
     both: usize,
+    /// Those of them that the two bring to different places: a floor agrees with all slides along it.
+    telling: usize,
     /// Places that the winner brings onto the other cloud and the rival contradicts.
     winner: usize,
     /// The reverse.
@@ -59,6 +66,11 @@ impl Counts {
     /// The share of the places that the winner explains and the rival contradicts.
     fn contradicted(&self) -> f64 {
         self.winner as f64 / self.explained()
+    }
+
+    /// [`contradicted`](Self::contradicted), as a share of the places that tell the two apart.
+    fn contradicted_of_telling(&self) -> f64 {
+        self.winner as f64 / (self.telling + self.winner).max(1) as f64
     }
 
     fn explained(&self) -> f64 {
@@ -80,6 +92,10 @@ impl Rival {
     pub(super) fn is_equal(&self) -> bool {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
+            Motion::Alike => {
+                let limit = TUNING.self_contradicted[usize::from(self.is_standing)];
+                return self.counts.contradicted_of_telling() <= limit;
+            }
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
             Motion::Turn(_) => (lead, contradicted),
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
@@ -93,17 +109,18 @@ impl Rival {
         self.counts.lead() <= max_lead && self.counts.contradicted() <= max_contradicted
     }
 
-    /// Of the places that the winner explains, the share that this shift of it explains too; 0 for
-    /// turns.
+    /// Of the places that the winner explains, the share that this shift of it, or motion under which
+    /// the target looks like itself, explains too; 0 for turns.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
+            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Turn(_) => 0.0,
         }
     }
 
-    /// What is ambiguous, in a sentence.
-    pub(super) fn note(&self) -> String {
+    /// What is ambiguous beside a winner, in a sentence.
+    pub(super) fn note(&self, winner: &IsometryMatrix3<f64>) -> String {
         match self.motion {
             Motion::Turn(Turn { degrees: None, .. }) => {
                 "a mirror image of the source fits better: one of the clouds may have a flipped axis".into()
@@ -113,6 +130,14 @@ impl Rival {
                  room do",
                 axis_name(&axis)
             ),
+            Motion::Alike => {
+                let motion = self.transform * winner.inverse();
+                let (angle, slide) = (motion.rotation.angle().to_degrees(), self.moved);
+                format!(
+                    "ambiguous: the target looks like itself after a turn by {angle:.0} degrees that moves the source by \
+                     {slide:.3}, and the source fits there about as well"
+                )
+            }
             Motion::Shift(Shift { by, .. }) => format!(
                 "ambiguous: the target repeats itself every {:.3} along {}, and the source fits there about as well",
                 by.norm(),
@@ -122,7 +147,7 @@ impl Rival {
     }
 }
 
-/// The turns, reflections and shifts of the winner under which the clouds fit, with what tells them
+/// The turns, reflections, shifts and other motions of the winner under which the clouds fit, with what tells them
 /// from the winner.
 pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
@@ -137,26 +162,74 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let by_turn = after_turns(surfaces, winner, &tried, &frame);
     let places = fine[0].places(winner, fine[1], distance, TUNING.shift_places);
     let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
-    if by_turn.is_empty() && by_shift.is_empty() {
+    let fitting = Fitting::new(pair, winner, is_standing);
+    let by_turn = by_turn.into_iter().map(|(turn, guess)| (Motion::Turn(turn), guess));
+    let guesses: Vec<_> = by_turn.chain(fitting.alike()?).collect();
+    let fit = |(motion, guess)| fitting.fitted(motion, guess);
+    let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    if fitted.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
-    let scene = Scene::new(pair, fine, winner, &places, is_standing);
-    let rotated =
-        by_turn.into_par_iter().map(|(turn, guess)| scene.rotated(turn, guess)).collect::<Result<Vec<_>>>()?;
+    let scene = Scene::new(fitting, fine, &places);
+    let moved = fitted.into_par_iter().map(|(motion, rough)| scene.moved(motion, rough)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
-    Ok(rotated.into_iter().chain(shifted).flatten().collect())
+    Ok(moved.into_iter().chain(shifted).flatten().collect())
 }
 
-/// The pair with what the comparison of two transforms needs.
-struct Scene<'a, 'b> {
+/// The pair with what shows whether another transform fits the surfaces.
+struct Fitting<'a, 'b> {
     pair: &'a Pair<'b>,
-    fine: [&'a FineCloud; 2],
     winner: &'a IsometryMatrix3<f64>,
     /// Some voxels of the source.
     coarse: Vec<Vector>,
     /// How well they fit with the winner.
     best_fit: f64,
     is_standing: bool,
+}
+
+impl<'a, 'b> Fitting<'a, 'b> {
+    fn new(pair: &'a Pair<'b>, winner: &'a IsometryMatrix3<f64>, is_standing: bool) -> Self {
+        let surfaces = pair.surfaces();
+        let step = coarse_step(surfaces[0].points.len());
+        let coarse = surfaces[0].points.iter().step_by(step).copied().collect();
+        let best_fit = Surface::agreement(&surfaces[0], &surfaces[1], winner, step).fit();
+        Self { pair, winner, coarse, best_fit, is_standing }
+    }
+
+    /// The winner after each motion under which the target looks like itself, and after its inverse.
+    fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
+        let distance = self.pair.criteria().inlier_distance;
+        let least = distance * if self.is_standing { TUNING.min_shift } else { TUNING.min_self_motion };
+        let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
+        for motion in self_motions(self.pair.clouds()[1], self.pair.is_signed())? {
+            for guess in [motion * self.winner, motion.inverse() * self.winner] {
+                let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
+                if displacement(&guess, self.winner, &self.coarse) > least && guesses.iter().all(differs) {
+                    guesses.push(guess);
+                }
+            }
+        }
+        Ok(guesses.into_iter().map(|guess| (Motion::Alike, guess)).collect())
+    }
+
+    /// The transform near a guess that fits best; `None` if it does not fit the surfaces.
+    fn fitted(&self, motion: Motion, guess: IsometryMatrix3<f64>) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
+        let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
+        let step = coarse_step(surfaces[0].points.len());
+        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
+        let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
+        let min_fit = match motion {
+            Motion::Alike => TUNING.self_fit[usize::from(self.is_standing)],
+            _ => TUNING.rival_fit_share,
+        };
+        Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
+    }
+}
+
+/// The pair with what the comparison of two transforms needs.
+struct Scene<'a, 'b> {
+    fitting: Fitting<'a, 'b>,
+    fine: [&'a FineCloud; 2],
     /// Places of the source on the target, in the target's frame.
     places: &'a [Place],
     /// Places of both clouds, each with what the winner makes of it.
@@ -165,51 +238,28 @@ struct Scene<'a, 'b> {
 }
 
 impl<'a, 'b> Scene<'a, 'b> {
-    fn new(
-        pair: &'a Pair<'b>,
-        fine: [&'a FineCloud; 2],
-        winner: &'a IsometryMatrix3<f64>,
-        places: &'a [Place],
-        is_standing: bool,
-    ) -> Self {
-        let surfaces = pair.surfaces();
-        let step = coarse_step(surfaces[0].points.len());
-        let mut scene = Self {
-            pair,
-            fine,
-            winner,
-            coarse: surfaces[0].points.iter().step_by(step).copied().collect(),
-            best_fit: Surface::agreement(&surfaces[0], &surfaces[1], winner, step).fit(),
-            is_standing,
-            places,
-            sample: Default::default(),
-            images: surfaces.each_ref().map(Surface::fine_image),
-        };
+    fn new(fitting: Fitting<'a, 'b>, fine: [&'a FineCloud; 2], places: &'a [Place]) -> Self {
+        let (winner, distance) = (*fitting.winner, fitting.pair.criteria().inlier_distance);
+        let images = fitting.pair.surfaces().each_ref().map(Surface::fine_image);
+        let mut scene = Self { fitting, fine, places, sample: Default::default(), images };
         scene.sample = std::array::from_fn(|from| {
-            let transform = if from == 0 { *winner } else { winner.inverse() };
+            let transform = if from == 0 { winner } else { winner.inverse() };
             let with_vote = |place: Place| (place, scene.explains(&place.moved(&transform), 1 - from));
-            fine[from].sample(TUNING.rival_places).into_iter().map(with_vote).collect()
+            fine[from].thinned(distance, TUNING.rival_places).into_iter().map(with_vote).collect()
         });
         scene
     }
 
-    /// The rival near a guess that follows from a turn; `None` if it does not fit the surfaces.
-    fn rotated(&self, turn: Turn, guess: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
-        let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
-        let step = coarse_step(surfaces[0].points.len());
-        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
-        let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
+    /// The rival near a transform that a turn or a motion led to; `None` if it contradicts too much.
+    fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
         let is_hopeless = counts.contradicted() > TUNING.hopeless && counts.lead() > 0.0;
-        if fit < TUNING.rival_fit_share * self.best_fit || is_hopeless {
-            return Ok(None);
-        }
-        self.rival(Motion::Turn(turn), rough)
+        if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
     }
 
     /// The rival near a shift; `None` if it does not fit.
     fn shifted(&self, Shift { by: shift, is_better }: Shift) -> Result<Option<Rival>> {
-        let distance = self.pair.criteria().inlier_distance;
+        let distance = self.fitting.pair.criteria().inlier_distance;
         let places: Vec<&Place> = self.places.iter().step_by(TUNING.shift_thinning).collect();
         let fit = |part: f64| {
             let lies = |place: &&Place| {
@@ -218,7 +268,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             };
             places.iter().map(lies).sum::<i32>()
         };
-        if !self.is_standing && f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
+        if !self.fitting.is_standing && f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
             return Ok(None);
         }
         let unit = 1.5 * TUNING.relief_side * distance / shift.norm() / f64::from(TUNING.shift_steps);
@@ -228,43 +278,49 @@ impl<'a, 'b> Scene<'a, 'b> {
         // Of equals the middle one.
         let equal: Vec<f64> = tries.iter().filter(|(fit, _)| *fit == best).map(|(_, part)| *part).collect();
         let shift = equal[equal.len() / 2] * shift;
-        let rough = Translation3::from(shift) * self.winner;
+        let rough = Translation3::from(shift) * self.fitting.winner;
         if self.compare(&rough).contradicted() > TUNING.hopeless {
             return Ok(None);
         }
         let rival = self.rival(Motion::Shift(Shift { by: shift, is_better }), rough)?;
-        let refined = |rival: &Rival| rival.transform.translation.vector - self.winner.translation.vector;
+        let refined = |rival: &Rival| rival.transform.translation.vector - self.fitting.winner.translation.vector;
         Ok(rival.map(|rival| Rival { motion: Motion::Shift(Shift { by: refined(&rival), is_better }), ..rival }))
     }
 
     /// The rival near a transform, refined as the winner was; `None` if it is the winner.
     fn rival(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
-        let distance = self.pair.criteria().inlier_distance;
-        let gravity = self.pair.criteria().gravity;
+        let distance = self.fitting.pair.criteria().inlier_distance;
+        let gravity = self.fitting.pair.criteria().gravity;
         let refined = refine_on_patches(self.fine, rough, gravity, &Counter::default())?;
-        let is_near = displacement(&refined, &rough, &self.coarse) < 0.5 * distance;
+        let is_near = displacement(&refined, &rough, &self.fitting.coarse) < 0.5 * distance;
         let transform = if is_near { refined } else { rough };
-        if displacement(&transform, self.winner, &self.coarse) < TUNING.min_shift * distance {
+        if displacement(&transform, self.fitting.winner, &self.fitting.coarse) < TUNING.min_shift * distance {
             return Ok(None);
         }
         Ok(Some(Rival {
             transform,
             motion,
             counts: self.compare(&transform),
-            is_signed: self.pair.is_signed(),
-            is_standing: self.is_standing,
+            is_signed: self.fitting.pair.is_signed(),
+            is_standing: self.fitting.is_standing,
             inlier_distance: distance,
+            moved: displacement(&transform, self.fitting.winner, &self.fitting.coarse),
         }))
     }
 
     /// The winner and another transform, place by place.
     fn compare(&self, transform: &IsometryMatrix3<f64>) -> Counts {
         let mut counts = Counts::default();
-        for (from, transform) in [*transform, transform.inverse()].into_iter().enumerate() {
+        let transforms = [(*transform, *self.fitting.winner), (transform.inverse(), self.fitting.winner.inverse())];
+        for (from, (transform, winner)) in transforms.into_iter().enumerate() {
             for (place, by_winner) in &self.sample[from] {
                 let Some(by_winner) = by_winner else { continue };
-                match (by_winner, self.explains(&place.moved(&transform), 1 - from)) {
-                    (true, Some(true)) => counts.both += 1,
+                let moved = place.moved(&transform);
+                match (by_winner, self.explains(&moved, 1 - from)) {
+                    (true, Some(true)) => {
+                        counts.both += 1;
+                        counts.telling += usize::from(self.tells(&place.moved(&winner), &moved));
+                    }
                     (true, Some(false)) => counts.winner += 1,
                     (false, Some(true)) => counts.rival += 1,
                     _ => (),
@@ -274,11 +330,22 @@ impl<'a, 'b> Scene<'a, 'b> {
         counts
     }
 
+    /// Whether two transforms bring a place to different places: a place on a plane that stays on it
+    /// does not tell.
+    fn tells(&self, by_winner: &Place, by_rival: &Place) -> bool {
+        let Some((normal, other)) = by_winner.normal.zip(by_rival.normal) else { return true };
+        let offset = normal.dot(&(by_rival.point - by_winner.point)).abs();
+        offset > patches::TUNING.max_offset * self.fitting.pair.criteria().inlier_distance
+            || normal.dot(&other).abs() < patches::TUNING.agreeing_cosine
+    }
+
     /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud
     /// does not tell. A cloud without a known sensor is taken to show all there is.
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
         let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
-        self.fine[cloud].lies_on(place, self.pair.criteria().inlier_distance).or_else(|| is_free().then_some(false))
+        self.fine[cloud]
+            .lies_on(place, self.fitting.pair.criteria().inlier_distance)
+            .or_else(|| is_free().then_some(false))
     }
 }
 
@@ -291,10 +358,11 @@ mod tests {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
             motion: Motion::Turn(reflections(&[Vector::x()])[0]),
-            counts: Counts { both: 200, winner, rival },
+            counts: Counts { both: 200, telling: 200, winner, rival },
             is_signed: false,
             is_standing: false,
             inlier_distance: 0.1,
+            moved: 1.0,
         };
         assert!(mirrored(180, 500).is_equal());
         assert!(!mirrored(180, 180).is_equal());

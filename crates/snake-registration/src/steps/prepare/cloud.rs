@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::sync::OnceLock;
 
+use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use super::lengths::Lengths;
@@ -40,6 +41,8 @@ pub struct PreparedCloud {
     /// Descriptors of the keypoints: of normals without a sign, and with one.
     pub(crate) rows: [OnceLock<Vec<f32>>; 2],
     fine: OnceLock<FineCloud>,
+    /// The motions under which the cloud looks like itself: of normals without a sign, and with one.
+    pub(crate) self_motions: [OnceLock<Vec<IsometryMatrix3<f64>>>; 2],
 }
 
 impl PreparedCloud {
@@ -78,6 +81,7 @@ impl PreparedCloud {
         check_points("keypoints", keypoints)?;
         self.keypoints = keypoints.iter().map(|&point| (point, self.voxels.nearest_voxel(point))).collect();
         self.rows = Default::default();
+        self.self_motions = Default::default();
         Ok(self)
     }
 
@@ -185,6 +189,7 @@ impl<'a> UsedPoints<'a> {
             descriptor: options.descriptor,
             rows: Default::default(),
             fine: OnceLock::new(),
+            self_motions: Default::default(),
         })
     }
 }

@@ -1,0 +1,90 @@
+//! Motions under which a cloud looks like itself: a step of spiral stairs, the pitch of a row, a storey,
+//! a half turn of a room.
+
+use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
+
+use super::TUNING;
+use crate::steps::consensus::consensus;
+use crate::steps::describe::{Rows, describe_cloud};
+use crate::steps::pair::Pair;
+use crate::steps::prepare::PreparedCloud;
+use snake_core::{Control, Result};
+use snake_geometry::{Vector, vector};
+
+/// The motions of a cloud onto itself on which matches of its descriptors with its own places
+/// elsewhere agree, the best supported first; `signed` as in [`describe_cloud`]. The cloud keeps them.
+pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[IsometryMatrix3<f64>]> {
+    let slot = &cloud.self_motions[usize::from(signed)];
+    if slot.get().is_none() {
+        let (pair, control) = (Pair::new(cloud, cloud, None), Control::default());
+        let pair = if signed { pair } else { pair.without_signs() };
+        let indices = matches_elsewhere(cloud, &describe_cloud(cloud, signed, &control)?);
+        let motions = consensus(&pair.matches(&indices)?, pair.criteria(), TUNING.self_motions, &control)?;
+        slot.get_or_init(|| motions.iter().map(|motion| *motion.isometry()).collect());
+    }
+    Ok(slot.get().map(Vec::as_slice).unwrap_or_default())
+}
+
+/// Some of the keypoints, each with the keypoint of the nearest descriptor that is not near it.
+fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
+    let points: Vec<Vector> = cloud.keypoints().into_iter().map(vector).collect();
+    let squared_distance = (TUNING.elsewhere * cloud.lengths.inlier_distance).powi(2);
+    let all = DMatrixView::from_slice(rows.values(), rows.dimension(), rows.len());
+    // The row b nearest to a has the greatest a·b - |b|²/2.
+    let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
+    let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.self_matches).max(1)).collect();
+    let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
+    let products = all.tr_mul(&own);
+    let nearest = |from: usize, products: DVectorView<f32>| {
+        let mut best = (f32::NEG_INFINITY, None);
+        for (to, (product, half_norm)) in products.iter().zip(&half_norms).enumerate() {
+            let score = product - half_norm;
+            if score > best.0 && (points[to] - points[from]).norm_squared() > squared_distance {
+                best = (score, Some(to));
+            }
+        }
+        best.1.map(|to| [from, to])
+    };
+    chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::options::RegisterOptions;
+    use crate::rigid::{displacement, moved, tests::random_points};
+    use crate::steps::prepare;
+    use snake_core::Point;
+
+    #[test]
+    fn a_cloud_that_has_a_part_twice_looks_like_itself_under_the_motion_between_them() {
+        let motion = IsometryMatrix3::new(Vector3::new(6.0, 1.0, 0.5), Vector3::new(0.0, 0.0, 0.7));
+        // Six boxes, sampled on their faces.
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let (centers, sizes) = (random_points(&mut rng, 6), random_points(&mut rng, 6));
+        let surface = |(at, mut point): (usize, Point)| {
+            let part = at % centers.len();
+            point[at % 3] = point[at % 3].signum();
+            Vector::from_fn(|axis, _| {
+                f64::from(1.5 * centers[part][axis] + (0.2 + 0.4 * sizes[part][axis].abs()) * point[axis])
+            })
+        };
+        let part: Vec<Vector> = random_points(&mut rng, 12_000).into_iter().enumerate().map(surface).collect();
+        let both = part.iter().copied().chain(part.iter().map(|point| moved(&motion, point)));
+        let cloud: Vec<Point> = both.map(|point| point.map(|v| v as f32).into()).collect();
+        let prepared =
+            prepare(&[&cloud, &cloud], &[None, None], None, &RegisterOptions::default(), &Control::default());
+        let cloud = &prepared.unwrap().clouds[0];
+        let motions = self_motions(cloud, false).unwrap();
+        let is_found = |wanted: &IsometryMatrix3<f64>, points: &[Vector]| {
+            let error = |found| displacement(found, wanted, points);
+            motions.iter().map(error).fold(f64::INFINITY, f64::min) < cloud.lengths.inlier_distance
+        };
+        let there: Vec<Vector> = part.iter().map(|point| moved(&motion, point)).collect();
+        assert!(is_found(&motion, &part) || is_found(&motion.inverse(), &there), "{motions:?}");
+    }
+}

@@ -1,0 +1,103 @@
+//! What contradicts sensors at one place, and moved as a whole: posts that stand still beside traffic
+//! that keeps pace with the sensor.
+
+use std::collections::HashMap;
+
+use nalgebra::IsometryMatrix3;
+
+use super::TUNING;
+use super::open_motions::axis_name;
+use crate::cloud::depth_image::{DepthImage, FINE, Sight};
+use crate::cloud::near_grid::NearGrid;
+use crate::rigid::moved;
+use crate::steps::pair::Pair;
+use snake_core::Result;
+use snake_geometry::Vector;
+
+/// A part of the source that another slide brings onto the target.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Together {
+    slide: Vector,
+    /// The share of the places that contradict the transform.
+    share: f64,
+    center: Vector,
+}
+
+impl Together {
+    /// What is ambiguous, in a sentence.
+    pub(super) fn note(&self) -> String {
+        let [x, y, z] = self.center.into();
+        format!(
+            "ambiguous: {:.0} % of what contradicts the transform moved by {:.3} along {} as a whole, about ({x:.2}, {y:.2}, \
+             {z:.2}) of the target: either that part of the scene moved, or the sensor did",
+            100.0 * self.share,
+            self.slide.norm(),
+            axis_name(&self.slide.normalize())
+        )
+    }
+}
+
+/// The slide that brings most of what a transform leaves apart onto each other, if that is a good share
+/// of it and spread over the scene. Both clouds were seen from one place.
+pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<Together>> {
+    let distance = pair.criteria().inlier_distance;
+    let source = apart(pair, 0, transform)?;
+    let target = apart(pair, 1, &transform.inverse())?;
+    let source: Vec<Vector> = source.iter().map(|point| moved(transform, point)).collect();
+    let grid = NearGrid::new(&target, 2.0 * TUNING.apart_spacing * distance);
+    let min_spread = TUNING.min_together_spread * spread(&pair.clouds()[1].voxels.voxels.points);
+    let together = |slide: Vector| {
+        let hits: Vec<Vector> =
+            source.iter().map(|point| point + slide).filter(|point| grid.nearest(point).is_some()).collect();
+        let share = hits.len() as f64 / source.len().min(target.len()) as f64;
+        let center = hits.iter().sum::<Vector>() / hits.len().max(1) as f64;
+        (share >= TUNING.together && spread(&hits) >= min_spread).then_some(Together { slide, share, center })
+    };
+    Ok(frequent_slides(&source, &target, distance).into_iter().find_map(together))
+}
+
+/// Places of a cloud that a transform does not bring onto the other cloud, though that is seen there or
+/// nothing hides them.
+fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<Vec<Vector>> {
+    let (distance, fine) = (pair.criteria().inlier_distance, pair.fine()?);
+    let Some((viewpoint, _)) = pair.clouds()[1 - from].viewpoint else { return Ok(Vec::new()) };
+    let other = fine[1 - from];
+    let image = DepthImage::new(other.points(), viewpoint, distance, FINE);
+    let places = fine[from].thinned(TUNING.apart_spacing * distance, usize::MAX).into_iter().filter(|place| {
+        let place = place.moved(transform);
+        match other.lies_on(&place, distance) {
+            Some(is_on) => !is_on,
+            None => matches!(image.sight(&place.point), Sight::Free | Sight::Unknown),
+        }
+    });
+    let all: Vec<Vector> = places.map(|place| place.point).collect();
+    Ok(all.iter().step_by(all.len().div_ceil(TUNING.apart_places).max(1)).copied().collect())
+}
+
+/// The slides from places of one cloud to those of another on which most pairs agree, each the mean of a
+/// cell. Slides as short as a rival's least are left out, and those of few pairs.
+fn frequent_slides(source: &[Vector], target: &[Vector], distance: f64) -> Vec<Vector> {
+    let mut cells: HashMap<[i64; 3], (usize, Vector)> = HashMap::new();
+    for from in source {
+        for to in target {
+            let slide = to - from;
+            if slide.norm() > TUNING.min_shift * distance {
+                let cell = slide.map(|v| (v / (2.0 * TUNING.apart_spacing * distance)).round() as i64);
+                let (count, sum) = cells.entry(cell.into()).or_insert((0, Vector::zeros()));
+                *count += 1;
+                *sum += slide;
+            }
+        }
+    }
+    let mut slides: Vec<_> = cells.into_iter().filter(|(_, (count, _))| *count >= TUNING.min_agreeing).collect();
+    slides.sort_by_key(|(cell, (count, _))| (usize::MAX - count, *cell));
+    slides.truncate(TUNING.slides_together);
+    slides.into_iter().map(|(_, (count, sum))| sum / count as f64).collect()
+}
+
+/// The root mean square distance of points from their mean.
+fn spread(points: &[Vector]) -> f64 {
+    let count = points.len().max(1) as f64;
+    let mean = points.iter().sum::<Vector>() / count;
+    (points.iter().map(|point| (point - mean).norm_squared()).sum::<f64>() / count).sqrt()
+}
