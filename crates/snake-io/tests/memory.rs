@@ -1,5 +1,8 @@
 //! The memory that reading and detection take per point.
 
+#[cfg(feature = "mcap")]
+mod messages;
+
 use peak_alloc::PeakAlloc;
 use snake_core::{Builtin, Model, Options, Point};
 use snake_io::{ReadOptions, read_cloud, write_points};
@@ -79,12 +82,18 @@ fn memory_grows_by_few_bytes_for_each_point() {
 /// A recording of a thousand clouds of 12 kB.
 #[cfg(feature = "mcap")]
 fn recordings_take_the_memory_of_a_few_clouds(folder: &std::path::Path) {
-    let small = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/drive.mcap")).unwrap();
-    let message = mcap::MessageStream::new(&small).unwrap().next().unwrap().unwrap();
+    use mcap::records::MessageHeader;
+
+    let message = [vec![0, 1, 0, 0], messages::encoded_points(true, &[[1.0; 4]; 760])].concat();
     let path = folder.join("long.mcap");
     let options = mcap::WriteOptions::new().compression(None);
     let mut writer = options.create(std::fs::File::create(&path).unwrap()).unwrap();
-    (0..1000).for_each(|_| writer.write(&message).unwrap());
+    let schema_id = writer.add_schema(messages::SCHEMA, "ros2msg", b"").unwrap();
+    let channel_id = writer.add_channel(schema_id, "/a", "cdr", &Default::default()).unwrap();
+    for time in 0..1000 {
+        let header = MessageHeader { channel_id, sequence: time as u32, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, &message).unwrap();
+    }
     writer.finish().unwrap();
     assert!(path.metadata().unwrap().len() > 12_000_000);
     let (number, bytes) = peak(|| snake_io::read_recording(&path, None).unwrap().map(Result::unwrap).count());

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use mcap::records::MessageHeader;
-use snake_io::{Error, RecordedCloud, read_recording};
+mod messages;
 
-const SCHEMA: &str = "sensor_msgs/msg/PointCloud2";
+use mcap::records::MessageHeader;
+use messages::{SCHEMA, encoded_points};
+use snake_io::{Error, RecordedCloud, read_recording};
 
 /// A message of ROS 2 with the points `(1, 2, 3)` and `(4, 5, NaN)`, each with a ring before it.
 fn message() -> Vec<u8> {
@@ -17,44 +18,6 @@ fn message() -> Vec<u8> {
 /// The same without the header of CDR, or in the encoding of ROS 1.
 fn encoded(is_ros2: bool) -> Vec<u8> {
     encoded_points(is_ros2, &[[0.0, 1.0, 2.0, 3.0], [0.0, 4.0, 5.0, f32::NAN]])
-}
-
-/// A message with the ring and the coordinates of each point.
-fn encoded_points(is_ros2: bool, points: &[[f32; 4]]) -> Vec<u8> {
-    let num_points = points.len() as u32;
-    let mut data = Vec::new();
-    let number = |data: &mut Vec<u8>, value: u32| {
-        if is_ros2 {
-            data.resize(data.len().next_multiple_of(4), 0);
-        }
-        data.extend(value.to_le_bytes());
-    };
-    let text = |data: &mut Vec<u8>, text: &str| {
-        number(data, text.len() as u32 + u32::from(is_ros2));
-        data.extend(text.bytes().chain(is_ros2.then_some(0)));
-    };
-    if !is_ros2 {
-        number(&mut data, 77);
-    }
-    number(&mut data, 1);
-    number(&mut data, 500);
-    text(&mut data, "lidar");
-    number(&mut data, 1);
-    number(&mut data, num_points);
-    number(&mut data, 4);
-    for (name, offset, datatype) in [("ring", 0, 4), ("x", 4, 7), ("y", 8, 7), ("z", 12, 7)] {
-        text(&mut data, name);
-        number(&mut data, offset);
-        data.push(datatype);
-        number(&mut data, 1);
-    }
-    data.push(0);
-    number(&mut data, 16);
-    number(&mut data, 16 * num_points);
-    number(&mut data, 16 * num_points);
-    data.extend(points.as_flattened().iter().flat_map(|value| value.to_le_bytes()));
-    data.push(1);
-    data
 }
 
 /// Writes a recording with messages of these topics and schemas.

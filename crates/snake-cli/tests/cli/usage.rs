@@ -351,7 +351,7 @@ fn an_interrupt_leaves_only_complete_files() {
 #[test]
 fn every_option_with_a_value_shows_its_default() {
     // Files are read or written only if they are named, and these two begin another way of working.
-    const WITHOUT: [&str; 12] = [
+    const WITHOUT: [&str; 13] = [
         "output",
         "aligned",
         "view",
@@ -364,6 +364,7 @@ fn every_option_with_a_value_shows_its_default() {
         "external",
         "coverage",
         "input-list",
+        "split",
     ];
     for (name, help) in helps(&[]) {
         for entry in help.split("\n      --").skip(1) {

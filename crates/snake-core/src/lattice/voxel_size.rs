@@ -35,7 +35,7 @@ const MAX_BLOCKS: usize = 18_000;
 const SHARES: [f64; 2] = [0.8, 0.95];
 
 /// Halving voxels finds no more places if it finds less than this many times as many. ...
-const NO_MORE: f64 = 1.07;
+const NO_MORE: f64 = 1.02;
 
 /// ... and there is at most this number of points for each: a few clusters far apart are not all that there is to see.
 const MAX_POINTS_A_PLACE: usize = 8;
