@@ -61,9 +61,9 @@ mod tests {
         for (step, origin) in [(0.5, 0.0), (0.5, 3.3), (1.0 / 32.0, 7.1)] {
             let striped: Vec<Point> =
                 surface().into_iter().map(|[x, y, z]| [x, (y / step).round() * step - origin, z]).collect();
-            let found = coordinate_step(&striped).unwrap();
-            assert_eq!(found.axis, 1);
-            assert!((found.length - f64::from(step)).abs() < 1e-5, "{found:?}");
+            let measured = coordinate_step(&striped).unwrap();
+            assert_eq!(measured.axis, 1);
+            assert!((measured.length - f64::from(step)).abs() < 1e-5, "{measured:?}");
         }
     }
 
