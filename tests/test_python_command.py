@@ -46,9 +46,9 @@ def test_it_has_all_formats(tmp_path):
 def test_ctrl_c_ends_it_as_the_program(tmp_path):
     wait = tmp_path / "cloud.xyz"
     os.mkfifo(wait)
-    # A shell that runs the tests in the background has them ignore the signal.
-    heard = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
-    with subprocess.Popen([*COMMAND, "detect", wait], stderr=subprocess.PIPE, preexec_fn=heard) as running:
+    # What a shell runs in the background ignores the signal.
+    heard = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {COMMAND[2]}"
+    with subprocess.Popen([*COMMAND[:2], heard, "detect", wait], stderr=subprocess.PIPE) as running:
         with open(wait, "w"):  # opens when the command reads it
             time.sleep(0.1)
             running.send_signal(signal.SIGINT)

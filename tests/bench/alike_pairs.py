@@ -85,7 +85,9 @@ def seen(world: Solids, t: np.ndarray, rays: np.ndarray, rng, noise: float, most
     return rays[hit] * (found[hit] + noise * rng.normal(size=hit.sum()))[:, None]
 
 
-def between(worlds, poses, rays, rng, noise: float, most: float, degrees: float = 5.0, metres: float = 0.3) -> AlikePair:
+def between(
+    worlds, poses, rays, rng, noise: float, most: float, degrees: float = 5.0, metres: float = 0.3
+) -> AlikePair:
     source, target = (seen(w, t, rays, rng, noise, most) for w, t in zip(worlds, poses, strict=True))
     return AlikePair(source, target, [np.linalg.inv(poses[1]) @ poses[0]], degrees, metres)
 
@@ -203,7 +205,10 @@ def fence(rng) -> AlikePair:
         box(world, [period * k, y, 0.75], [0.15, 0.15, 1.5])
     for z in (0.5, 1.2):
         box(world, [0, y + 0.1, z], [200, 0.04, 0.12])
-    poses = [pose([0, 0, 1.7]), pose([rng.uniform(0.7, 2.3) * period, rng.uniform(-0.5, 0.5), 1.7], rng.uniform(-20, 20))]
+    poses = [
+        pose([0, 0, 1.7]),
+        pose([rng.uniform(0.7, 2.3) * period, rng.uniform(-0.5, 0.5), 1.7], rng.uniform(-20, 20)),
+    ]
     return twice(world, poses, lidar(32, 900, -25, 15), rng, 0.01, 40.0)
 
 
@@ -342,7 +347,12 @@ def rotunda(rng) -> AlikePair:
     box(world, [0, 0, -0.1], [40, 40, 0.2])
     box(world, [0, 0, 6.1], [40, 40, 0.2])
     for k in range(48):
-        box(world, yaw(7.5 * k) @ [radius + 2, 0, 3], [0.2, 2.1 * (radius + 2) * np.tan(np.radians(3.75)), 6], yaw(7.5 * k))
+        box(
+            world,
+            yaw(7.5 * k) @ [radius + 2, 0, 3],
+            [0.2, 2.1 * (radius + 2) * np.tan(np.radians(3.75)), 6],
+            yaw(7.5 * k),
+        )
     for k in range(number):
         x, y, _ = yaw(360 * k / number) @ [radius, 0, 0]
         post(world, x, y, 0, 6, 0.35)

@@ -1,6 +1,5 @@
 """Every command of docs/reproduce.md runs, on miniature data in the official layouts."""
 
-import json
 import re
 import runpy
 import shlex
