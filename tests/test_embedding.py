@@ -9,7 +9,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "embedding.md").read_text()
-EXAMPLES = {path: path.read_text() for path in ROOT.glob("*/*/examples/**/*.[rc]*") if path.is_file()}
+FILES = [path for folder in ("crates", "tests") for path in (ROOT / folder).glob("*/examples/**/*.[rc]*")]
+EXAMPLES = {path: path.read_text() for path in FILES if path.is_file()}
 
 
 def test_every_block_of_code_is_a_part_of_an_example():
