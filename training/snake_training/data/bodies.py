@@ -25,7 +25,7 @@ CHANGE = 0.15
 
 @dataclass(frozen=True)
 class Posed:
-    """A body in a pose: its bones, and the rotation (3, 3) and place (3,) of each in the body's frame."""
+    """A posed body. Each bone has a rotation (3, 3) and a position (3,) in the body's frame."""
 
     bones: list
     rotations: np.ndarray
@@ -187,7 +187,7 @@ def main(argv=None):
     parser.add_argument("--number", type=int, default=200, help="annotated shapes, and pairs of bodies")
     parser.add_argument("--points", type=int, default=2048, help="points of each")
     parser.add_argument("--corpus", nargs="+", default=[], help="corpus folders whose animals and characters are bent")
-    parser.add_argument("--bends", type=int, default=4, help="bent copies of each of these")
+    parser.add_argument("--bends", type=int, default=4, help="number of bent copies of each animal or character")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args(argv)
     if given.number < len(CLASSES) or given.points < 256 or given.bends < 1:

@@ -1,16 +1,16 @@
 //! The command line of `snake-cli detect`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::{Map, Value};
 use snake_core::DetectOptions;
 use snake_io::KeypointFormat;
 
-use crate::features::keypoint_format;
+use crate::features::advice;
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, ListArgument};
-use crate::setup::{ComputeArguments, EncodeFlags};
+use crate::setup::{ComputeArguments, EncodeFlags, named};
 
 #[derive(Args)]
 pub struct DetectArguments {
@@ -90,4 +90,14 @@ impl DetectFlags {
     pub fn values(&self) -> Map<String, Value> {
         self.encode.values().into_iter().chain(self.detect.given()).collect()
     }
+}
+
+/// The format of keypoints of a name.
+fn keypoint_format(name: &str) -> anyhow::Result<KeypointFormat> {
+    named(name).map_err(|error| match KeypointFormat::from_path(&Path::new("keypoints").with_extension(name)) {
+        Err(snake_io::Error::Feature { feature, .. }) => {
+            anyhow::Error::msg(format!("this build lacks the feature `{feature}`; {}", advice(feature)))
+        }
+        _ => error.into(),
+    })
 }

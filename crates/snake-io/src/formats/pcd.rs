@@ -221,7 +221,7 @@ impl Header {
         lzf::decompress(packed_data, unpacked)
     }
 
-    /// Reads lines, and calls `found` with the numbers of each in these columns of the table.
+    /// Calls `found` once a line, with the line's numbers in the chosen columns.
     fn ascii(&self, lines: Lines, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
         let fields: Vec<&Field> = self.scalars().map(|(field, _)| field).collect();
         let wanted: Vec<&Field> = columns.iter().map(|&column| fields[column]).collect();

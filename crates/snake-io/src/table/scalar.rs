@@ -12,6 +12,9 @@ pub(crate) struct Scalar {
     big_endian: bool,
 }
 
+/// The name of a written column and its type: `FLOAT`, `DOUBLE`, `BYTE` or `INT`.
+pub(crate) type Column = (&'static str, Scalar);
+
 impl Scalar {
     pub(crate) const FLOAT: Self = Self { kind: b'f', size: 4, big_endian: false };
     pub(crate) const DOUBLE: Self = Self { kind: b'f', size: 8, big_endian: false };

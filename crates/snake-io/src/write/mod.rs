@@ -14,9 +14,9 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use crate::format::{CloudFormat, KeypointFormat, extension};
-use crate::table::scalar::Scalar;
+use crate::table::scalar::{Column, Scalar};
 use crate::write::keypoint_source::KeypointSource;
-use crate::write::rows::{Column, Rows};
+use crate::write::rows::Rows;
 use crate::{Attributes, Error, Result, write_atomically};
 use snake_geometry::{Keypoint, Point, add_origin};
 

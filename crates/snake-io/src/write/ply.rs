@@ -5,8 +5,7 @@ use std::io::{self, Write};
 use ply_rs::ply::{ElementDef, Encoding, Header, PropertyAccess, PropertyDef, PropertyType, ScalarType};
 use ply_rs::writer::Writer;
 
-use crate::table::scalar::Scalar;
-use crate::write::rows::Column;
+use crate::table::scalar::{Column, Scalar};
 
 /// The list with the corners of a face.
 pub(crate) const CORNERS: &str = "vertex_indices";

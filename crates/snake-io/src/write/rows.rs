@@ -4,11 +4,8 @@ use std::io::{self, Write};
 
 use crate::arrays::npy;
 use crate::formats::pcd;
-use crate::table::scalar::Scalar;
+use crate::table::scalar::{Column, Scalar};
 use crate::write::ply::{self, Row};
-
-/// The name of a column and its type: `FLOAT`, `DOUBLE`, `BYTE` or `INT`.
-pub(crate) type Column = (&'static str, Scalar);
 
 /// Named columns and their rows, in f64, which represents every type exactly.
 pub(crate) struct Rows<C, R> {

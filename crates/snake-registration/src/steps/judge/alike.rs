@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::steps::consensus::consensus;
 use crate::steps::describe::{Rows, describe_cloud};
 use crate::steps::pair::Pair;

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6xX, Vector6};
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::patches::Overlap;
 use crate::cloud::planes::{NormalEquations, PlanePair};
 use snake_geometry::Vector;

@@ -1,6 +1,6 @@
 //! Evidence about a transform, and the confidence that follows from it.
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::surface::Agreement;
 use crate::result::{Fit, Matches};
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3xX, Matrix6xX};
 
-use super::TUNING;
+use super::tuning::TUNING;
 use snake_geometry::Vector;
 
 /// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation"; empty

@@ -6,7 +6,7 @@ use std::collections::HashSet;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::near_grid::NearGrid;
 use crate::cloud::patches::{self, FineCloud};
 use crate::cloud::planes::PlanePair;

@@ -4,11 +4,11 @@
 use nalgebra::{IsometryMatrix3, Translation3};
 use rayon::prelude::*;
 
-use super::TUNING;
 use super::alike::self_motions;
 use super::open_motions::axis_name;
 use super::repeats::axes;
 use super::shifts::{Shift, shifts};
+use super::tuning::TUNING;
 use super::turns::{Turn, after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
 use crate::cloud::patches::{self, FineCloud, Place, overlap};

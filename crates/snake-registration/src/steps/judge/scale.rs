@@ -3,7 +3,7 @@
 use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::planes::PlanePair;
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;

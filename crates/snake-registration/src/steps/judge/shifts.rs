@@ -1,6 +1,6 @@
 //! Shifts of the source under which details of the target repeat, such as the windows of a wall.
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::patches::{FineCloud, Place};
 use snake_geometry::Vector;
 

@@ -4,7 +4,7 @@
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Translation3};
 use rayon::prelude::*;
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::surface::{Agreement, Surface, coarse_step};
 
 /// By how much overlap less free space (as in [`Agreement::fit`]) beats the best of the slides of

@@ -2,7 +2,7 @@
 
 use nalgebra::{IsometryMatrix3, Point3};
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::depth_image::{DepthImage, FINE, SHARP, Sight};
 use crate::cloud::patches::FineCloud;
 use crate::steps::pair::Pair;

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 
 use nalgebra::IsometryMatrix3;
 
-use super::TUNING;
 use super::open_motions::axis_name;
+use super::tuning::TUNING;
 use crate::cloud::depth_image::{DepthImage, FINE, Sight};
 use crate::cloud::near_grid::NearGrid;
 use crate::rigid::moved;

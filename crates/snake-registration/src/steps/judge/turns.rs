@@ -3,7 +3,7 @@
 
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
 
-use super::TUNING;
+use super::tuning::TUNING;
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::moved;
 use snake_geometry::Vector;

@@ -1,0 +1,250 @@
+//! The constants of step 6.
+
+use crate::tuning::tuning;
+
+tuning! {
+    /// A transform is reliable from this confidence on.
+    reliable: f64 = 0.5, unit "probability", from "by the definition of the bias, a probability of about 0.95";
+    /// A cloud looks like itself only at places that are this far apart.
+    elsewhere: f64 = 4.0, unit "inlier distances", from "so that no match is of a place with itself";
+    /// Number of places that are matched with other places of their cloud.
+    self_matches: usize = 300, unit "places", from "set for time";
+    /// Number of motions under which a cloud looks like itself, at most.
+    self_motions: usize = 6, unit "motions", from "set for time";
+    /// Shorter motions under which a cloud looks like itself are left to slides and shifts, unless the
+    /// sensors are at one place.
+    min_self_motion: f64 = 12.0, unit "inlier distances",
+        from "beside right transforms of real rooms, details repeat after 2 to 11; stairwells after 13 to 16";
+    /// A rival's surfaces fit by this where the sensors are apart, and where they are at one place.
+    self_fit: [f64; 2] = [0.75, 0.4], unit "shares of the winner's fit",
+        from "stairwells have 0.99, ramps 0.55 to 0.7, traffic that keeps pace 0.41 to 0.54 (tests/bench/alike_pairs.py, seeds 0 to 3)";
+    /// A rival contradicts at most this of the places that tell the two apart: sensors apart, and at
+    /// one place, where one pattern of rays coincides point by point.
+    self_contradicted: [f64; 2] = [0.35, 0.43], unit "shares of the places that the winner explains and that tell",
+        from "stairs 0.12 to 0.14, stairwells 0.16 to 0.32, ramps 0.40 to 0.44, traffic 0.29 to 0.42; streets 0.46 and more (same seeds)";
+
+    /// Number of other transforms that may be rivals of the best, at most.
+    rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
+    /// Another transform is a rival if its fit of the surfaces is above this share of the best fit.
+    rival_fit: f64 = 0.9, unit "share of the best fit", from "set by hand in c29aabe";
+    /// A rival has this share of the matches that agree with the best, each count raised by one.
+    rival_agreeing: f64 = 0.4, unit "share of the matches", from "set by hand in c29aabe";
+    /// Patches of both clouds that are closer are one.
+    patch_distance: f64 = 0.5, unit "inlier distances", from "set by hand in b0e7886";
+
+    /// A patch constrains a motion whose cosine to its normal is above this: about 75 degrees.
+    /// Normals of planar patches are better than that, those of slopes that a voxel does not show
+    /// are not.
+    min_motion_cosine: f64 = 0.25, unit "cosine", from "set by hand in b0e7886";
+    /// A direction of motion is open if patches resist at most this share of their squared motion.
+    open_direction: f64 = 5e-5, unit "share of the squared motion", from "set by hand in 40795b4; rooms and streets have 0.03 to 0.2";
+    /// Where few points lie on patches, the overlap fixes all motions if slides fit worse by this.
+    fixed_margin: f64 = 0.07, unit "overlap",
+        from "slides fit worse by up to 0.04 in corridors and tunnels whose patches noise hides (190fc07)";
+    /// A motion with a smaller rotation part is named a translation.
+    no_rotation: f64 = 0.1, unit "length of the rotation part", from "set by hand in c29aabe";
+    /// Distances by which the source slides to either side.
+    slides: [f64; 6] = [2.0, 3.0, 4.0, 6.0, 9.0, 12.0], unit "inlier distances", from "set by hand in 098e659";
+
+    /// A patch tells whether a shift is right if the cosine between its normal and the shift is
+    /// above this: a floor agrees with all shifts along it.
+    repeat_cosine: f64 = 0.5, unit "cosine", from "set by hand in b0e7886";
+    /// Number of patches that are compared for a shift, at most.
+    repeat_patches: usize = 40, unit "patches", from "set by hand in 789af6c";
+    /// Number of patches that a shift needs.
+    min_repeat_patches: usize = 7, unit "patches", from "set by hand in 8e0d76d";
+    /// Distance between the shifts from which the search starts.
+    repeat_step: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
+    /// Patches of one face are thinned to this distance.
+    repeat_thinning: f64 = 0.5, unit "inlier distances", from "set for time in 8e0d76d";
+    /// Shifts that settle closer to each other are one.
+    repeat_settled: f64 = 0.1, unit "inlier distances", from "set for time in 8e0d76d";
+    /// A shifted patch agrees with a patch whose point is closer than this.
+    repeat_near: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
+    /// A shifted patch agrees with a patch whose plane is closer than this.
+    repeat_tolerance: f64 = 0.12, unit "inlier distances", from "set by hand in b0e7886";
+    /// A shift is dropped early if too few of every so many patches are near other patches.
+    repeat_probe: usize = 4, unit "patches", from "set for time in 789af6c";
+    /// Number of least-squares steps by which a shift settles.
+    repeat_steps: usize = 2, unit "steps", from "set for time in 8e0d76d";
+    /// Length of the shortest shift.
+    min_repeat: f64 = 1.0, unit "inlier distances", from "set by hand in 9784128";
+    /// Length of the longest shift.
+    max_repeat: f64 = 10.0, unit "inlier distances", from "set for time in 8e0d76d";
+    /// Share of the patches that must agree with a shift; the others may have left the view.
+    min_repeat_share: f64 = 0.2, unit "share of the patches", from "set by hand in b0e7886";
+    /// Shares of the patches up to this are treated as zero.
+    min_repeat_fit: f64 = 0.3, unit "share of the patches in view", from "set by hand in 9784128";
+    /// Parts of a shift at one of which the surfaces must fit worse.
+    repeat_parts: [f64; 3] = [0.35, 0.5, 0.65], unit "share of the shift", from "set by hand in 9784128";
+    /// Surfaces fit worse part of the way if less than this share of the agreement is left.
+    repeat_valley: f64 = 0.6, unit "share of the agreement", from "set by hand in b0e7886";
+    /// Two normals are parallel if their cosine is above this.
+    repeat_parallel: f64 = 0.98, unit "cosine", from "set by hand in 9784128";
+    /// Number of normals among which the most frequent directions are searched, at most.
+    repeat_normals: usize = 50, unit "normals", from "set by hand in 9784128";
+    /// A normal lies across another if this much of it is left without the other's direction.
+    min_across: f64 = 0.5, unit "length", from "set by hand in 9784128";
+    /// The target repeats itself if more than this share of the patches agrees after a shift.
+    repeated: f64 = 0.45, unit "share of the patches in view",
+        from "set in 00e891e: of 162 made rows of pillars 3 are left by one period";
+    /// The source may belong to the other place if its fitness is above this: with less overlap, a
+    /// place with more would fit better.
+    repeated_fitness: f64 = 0.8, unit "share of the voxels", from "set by hand in 40795b4";
+
+    /// A voxel faces along an axis if its cosine is above this.
+    turn_cosine: f64 = 0.9, unit "cosine", from "set by hand";
+    /// Number of offsets along each axis at which planes of a rotated source are laid on planes.
+    turn_offsets: usize = 3, unit "offsets", from "set by hand";
+    /// A rotated source must have this share of the voxels on planes that meet.
+    turn_planes: f64 = 0.75, unit "share of those of the winner", from "set by hand";
+    /// Number of moves that are compared for a turn, at most.
+    turn_tries: usize = 2, unit "transforms", from "set for time";
+    /// A rotated source must overlap the target by this.
+    turn_overlap: f64 = 0.7, unit "share of the winner's overlap", from "set by hand";
+    /// Thickness of the cells in which details repeat.
+    relief_depth: f64 = 0.15, unit "inlier distances", from "set by hand";
+    /// Width of the cells in which details repeat, and the step from one shift to the next.
+    relief_side: f64 = 0.25, unit "inlier distances", from "set by hand";
+    /// A place faces along an axis if its cosine is above this.
+    shift_cosine: f64 = 0.8, unit "cosine", from "set by hand";
+    /// Length of the longest shift.
+    max_shift: f64 = 0.5, unit "share of the overlap's extent", from "set by hand";
+    /// A rival moves the source by more than this.
+    min_shift: f64 = 2.25, unit "inlier distances", from "details of real rooms repeat after 1.4 and 2.1";
+    /// Share of the details that must be in view after a shift, and fit.
+    min_shift_view: f64 = 0.25, unit "share of the details that fit at rest", from "set by hand";
+    /// Details repeat after a shift if of those in view this share more fits than after most shifts.
+    shift_fit: f64 = 0.5, unit "share of the same beside rest", from "set by hand on a wall with windows every 1.5 m";
+    /// After a short shift this share of them fits.
+    min_short_fit: f64 = 0.4, unit "share of the details in view",
+        from "0.41 to 0.8 on a made wall, 0.2 to 0.35 in most real rooms";
+    /// On the way to a shift the details fit worse than this.
+    shift_valley: f64 = 0.9, unit "share of that after the shift", from "set by hand";
+    /// Number of shifts along one axis, at most.
+    shift_tries: usize = 2, unit "shifts", from "set for time";
+    /// Number of places whose details are compared.
+    shift_places: usize = 1200, unit "places", from "set for time";
+    /// Every so many of them tell where exactly a shift fits.
+    shift_thinning: usize = 6, unit "places", from "set for time";
+    /// Number of steps to either side in which a shift is made exact.
+    shift_steps: i32 = 6, unit "steps", from "set by hand";
+    /// Number of places of each cloud on which two transforms are compared.
+    rival_places: usize = 1000, unit "places", from "set for time";
+    /// Number of ICP steps after a turn.
+    rival_steps: usize = 8, unit "steps", from "set for time";
+    /// A rival's surfaces fit by this.
+    rival_fit_share: f64 = 0.75, unit "share of the winner's fit", from "set by hand";
+    /// A shift is not made exact if fewer of the places lie on the target there, less those that
+    /// contradict it.
+    min_shift_score: f64 = 0.3, unit "share of the places", from "set for time";
+    /// A rival that contradicts more, and explains less, is not refined.
+    hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
+    /// A shift up to this length is short.
+    short_shift: f64 = 4.0, unit "inlier distances", from "set by hand";
+    /// A short and a longer shift that contradict more of the winner are no rivals.
+    shift_contradicted: [f64; 2] = [0.175, 0.25], unit "shares of the places that the winner explains",
+        from "made facades and racks have 0.05 to 0.17, short shifts of real scans 0.17 to 0.6, longer ones 0.29 and more";
+    /// A shift after which the details fit better than at rest may contradict this much, and any
+    /// shift of a winner that puts both sensors at one place.
+    better_contradicted: f64 = 0.4, unit "share of the places that the winner explains", from "set by hand on made fences";
+    /// A cloud was seen from one place if this much of it is visible from there.
+    min_one_view: f64 = 0.98, unit "share of the fine voxels",
+        from "made scans have 0.99 and more, fused fragments of rooms about 0.9";
+    /// Two sensors that are closer are at one place.
+    standing: f64 = 1.0, unit "inlier distances",
+        from "18 of 19 made facades and fences that were wrong and reliable, the last has 1.6";
+    /// Sensors at one place see the same: a greater share of what one sees and the other does not is
+    /// doubtful.
+    max_standing: f64 = 0.2, unit "share of the places in view",
+        from "0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and after half of it moved";
+    /// Places that contradict sensors at one place are thinned to this distance.
+    apart_spacing: f64 = 0.25, unit "inlier distances", from "set by hand";
+    /// Number of such places of each cloud, at most.
+    apart_places: usize = 600, unit "places", from "set for time";
+    /// They hang together if one slide brings this share of them onto each other.
+    together: f64 = 0.2, unit "share of the places",
+        from "posts beside a motorway have 0.2 to 0.6, beside vehicles that drift (tests/bench/alike_pairs.py, seeds 0 to 7)";
+    /// Number of slides that are tried, at most.
+    slides_together: usize = 40, unit "slides", from "set by hand: things that moved alone come first";
+    /// Places that hang together are a part of the scene, not one thing that moved, if they spread by this.
+    min_together_spread: f64 = 0.35, unit "share of the cloud's spread",
+        from "posts beside a motorway have 0.37 to 0.63, one car 0.05, furniture up to 0.3 (same pairs, seeds 0 to 11)";
+    /// A turn explains the clouds about as well if the winner leads by at most the first and
+    /// contradicts at most the second, where the sensors are known.
+    turn_signed: [f64; 2] = [0.05, 0.2], unit "shares of the places that the winner explains", from "set by hand";
+    /// The same where the sensors are not known: all that has nothing near it is contradicted.
+    turn_unsigned: [f64; 2] = [0.15, 0.45], unit "shares of the places that the winner explains",
+        from "made rooms whose furniture moved have -0.23 to 0.13, rooms in which none did 0.07 to 0.27";
+    /// A mirror image fits better if it leads by this.
+    mirror_lead: f64 = 0.06, unit "share of the places that the winner explains",
+        from "mirrored boxes have 0.1 and more";
+
+    /// A weaker constraint is doubtful, however many matches agree.
+    doubtful_constraint: f64 = 2e-4, unit "share of the squared motion", from "set by hand in 40795b4";
+    /// Fewer matches that agree are never enough, however well the surfaces fit.
+    min_agreeing: usize = 10, unit "matches", from "set by hand in b0e7886";
+    /// Matches with a smaller spread lie on one plane or line and do not fix a transform, however
+    /// many agree.
+    min_match_spread: f64 = 0.25, unit "inlier distances", from "set by hand in 40795b4";
+    /// Share of the patches that coincide under a right transform.
+    min_coinciding: f64 = 0.8, unit "share of the patches",
+        from "right transforms of sweeps have 0.85 and more, wrong ones 0.75 and less (e823698)";
+    /// Greatest confidence of a transform that is ambiguous, has few matches or leaves the surfaces
+    /// apart.
+    max_doubtful: f64 = 0.49, unit "probability", from "just below `reliable`";
+
+    /// Bias of the logistic regression.
+    bias: f64 = -8.5, unit "log-odds",
+        from "3.2 below that of the fit by tests/bench/fit_verdict.py (00e891e), so that 0.5 is a probability of about 0.95";
+    /// Weight of the logarithm of one more than the matches that agree.
+    log_agreeing_weight: f64 = 1.88, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the logarithm of their ratio to those of the best rival.
+    log_ratio_weight: f64 = 0.43, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the slide margin.
+    slide_margin_weight: f64 = 22.5, unit "log-odds per overlap", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the spread of the matches that agree.
+    match_spread_weight: f64 = 3.0, unit "log-odds per inlier distance",
+        from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the violated free space.
+    violation_weight: f64 = -302.0, unit "log-odds per share of the voxels",
+        from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Weight of the lead over the next transform, where single matches were compared.
+    lead_weight: f64 = 10.0, unit "log-odds per overlap",
+        from "set by hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
+    /// The lead counts up to this.
+    max_lead: f64 = 0.25, unit "overlap", from "set by hand on the same pairs";
+    /// With a smaller lead the next transform is a rival, where single matches were compared.
+    min_lead: f64 = 0.3, unit "share of the score", from "set by hand on the same pairs";
+    /// Matches that agree count up to this number.
+    max_agreeing: f64 = 200.0, unit "matches", from "set by hand in 789af6c, so that no evidence outvotes the others";
+    /// The logarithm of the ratio to the best rival counts up to this.
+    max_log_ratio: f64 = 1.5, unit "logarithm", from "set by hand in b0e7886";
+    /// The slide margin counts up to this.
+    max_slide_margin: f64 = 0.1, unit "overlap", from "set by hand in b0e7886";
+    /// The spread of the matches counts up to this.
+    max_match_spread: f64 = 1.0, unit "inlier distances", from "set by hand in b0e7886";
+    /// Number of the source's voxels that tell its scale, at most.
+    scale_points: usize = 1500, unit "voxels", from "set for time";
+    /// A factor that differs from 1 by less after one step is not pursued.
+    scale_gate: f64 = 0.003, unit "ratio", from "set for time";
+    /// Number of steps to the factor, at most.
+    scale_steps: usize = 12, unit "steps", from "set by hand";
+    /// Fewer pairs of voxels do not tell the scale.
+    min_scale_pairs: usize = 100, unit "pairs", from "set by hand";
+    /// Planes tell the scale if this much of their squared distance under a change of scale is left
+    /// after the best rigid motion: three walls of a room fit at any scale.
+    min_scale_share: f64 = 0.02, unit "squared extents of the pairs", from "set by hand";
+    /// A smaller difference from 1 is not noted.
+    min_scale: f64 = 0.01, unit "ratio", from "the smallest that matters";
+    /// A factor differs from 1 if it does by so many of its standard deviations.
+    scale_deviations: f64 = 5.0, unit "standard deviations", from "set by hand";
+    /// The factor is found when a step changes it by less.
+    scale_tolerance: f64 = 1e-4, unit "ratio", from "set by hand";
+    /// With the factor, this share of the squared distances is left at most.
+    scale_gain: f64 = 0.6, unit "share of the squared distances", from "set on training scenes and objects of true scale";
+    /// The halves of the overlap change the factor by this at most.
+    scale_disagreement: f64 = 0.2, unit "share of the change", from "set on training scenes and objects of true scale";
+    /// Clouds whose diameters differ by more than this factor are probably in different units.
+    unit_ratio: f64 = 30.0, unit "ratio of diameters", from "set by hand in c29aabe";
+}
