@@ -1,4 +1,4 @@
-"""Fits the weights of `confidence` (crates/snake-registration/src/steps/judge/mod.rs), and prints how it does.
+"""Fits the weights of `confidence` (crates/snake-registration/src/steps/judge/tuning.rs), and prints how it does.
 
     python tests/bench/fit_verdict.py SCENES --objects FOLDER [--pairs 150] [--made 15]
     python tests/bench/fit_verdict.py SCENES --objects FOLDER --split val --seed 9 --blind
@@ -21,7 +21,7 @@ NAMES = ["bias", "log(1 + agreeing)", "log((1 + agreeing) / (1 + rival))", "slid
 NAMES += ["free-space violation"]
 # The ridge penalty, for columns of unit variance, a row.
 PENALTY = 1e-4
-# As in judge/mod.rs.
+# As in judge/tuning.rs.
 LIMITS = [(1, 1), (0, np.log(200)), (-1.5, 1.5), (-0.1, 0.1), (0, 1), (0, 1)]
 
 
