@@ -263,10 +263,9 @@ fn memory_is_proportional_to_the_number_of_points() {
     };
     let values: Vec<f32> = (0..5_000_000).flat_map(point).collect();
     write_npy(&path, &[5_000_000, 3], &values);
-    let program = Command::cargo_bin("snake-cli").unwrap();
     let output = Command::new("sh")
         .args(["-c", "ulimit -v 600000; exec \"$0\" detect \"$1\" --json --threads 2"])
-        .args([program.get_program(), path.as_os_str()])
+        .args([env!("CARGO_BIN_EXE_snake-cli").as_ref(), path.as_os_str()])
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
@@ -284,11 +283,10 @@ fn a_voxel_size_that_is_too_small_is_refused_before_its_blocks_are_made() {
     let values: Vec<f32> =
         (0..300_000).flat_map(|i| [at(i, 0.618_033_988_7), at(i, 0.754_877_666_2), at(i, 0.569_840_290_9)]).collect();
     write_npy(&path, &[300_000, 3], &values);
-    let program = Command::cargo_bin("snake-cli").unwrap();
     assert_refused(
         &Command::new("sh")
             .args(["-c", "ulimit -v 1000000; exec \"$0\" detect \"$1\" --model scenes --voxel-size 0.01 --threads 1"])
-            .args([program.get_program(), path.as_os_str()])
+            .args([env!("CARGO_BIN_EXE_snake-cli").as_ref(), path.as_os_str()])
             .output()
             .unwrap(),
         "times this size fits",
