@@ -53,7 +53,11 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let matches = |chosen: &[usize]| {
         let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
         let products = all.tr_mul(&own);
-        chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect::<Vec<_>>()
+        chosen
+            .iter()
+            .zip(products.column_iter())
+            .filter_map(|(&from, column)| nearest(from, column))
+            .collect::<Vec<_>>()
     };
     chosen.chunks(CHUNK).flat_map(matches).collect()
 }
@@ -92,7 +96,8 @@ mod tests {
         let motions = self_motions(cloud, false).unwrap();
         let is_found = |wanted: &IsometryMatrix3<f64>, points: &[Vector]| {
             let error = |found| displacement(found, wanted, points);
-            motions.iter().map(|(motion, _)| error(motion)).fold(f64::INFINITY, f64::min) < cloud.lengths.inlier_distance
+            motions.iter().map(|(motion, _)| error(motion)).fold(f64::INFINITY, f64::min)
+                < cloud.lengths.inlier_distance
         };
         let there: Vec<Vector> = part.iter().map(|point| moved(&motion, point)).collect();
         assert!(is_found(&motion, &part) || is_found(&motion.inverse(), &there), "{motions:?}");

@@ -203,7 +203,9 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
             let supported = motions.iter().filter(|(_, support)| *support >= min_support);
-            Ok::<_, snake_core::Error>(supported.flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>())
+            Ok::<_, snake_core::Error>(
+                supported.flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
+            )
         };
         let of_source = motions(0)?.into_iter().map(|motion| winner * motion);
         let of_target = motions(1)?.into_iter().map(|motion| motion * winner);
