@@ -33,7 +33,7 @@ INTRODUCTION = """# Results
 Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability
 --help` lists the layouts of the folders).
 
-Here: the 79 validation objects that chose nothing (`judge` of `python -m snake_training.data.halves`), and fragments of the 3DMatch
+Here: the 79 validation objects that chose nothing (`judge` of `python -m snake_training.make halves`), and fragments of the 3DMatch
 benchmark. About a fifth of its pairs overlap by less than a tenth, or do not fit within 2 cm under the published transforms. They are
 left out, so these figures do not compare with published ones.
 
@@ -110,7 +110,7 @@ def shares(tables: str) -> str:
 def landmarks_part(tables: str) -> str:
     return f"""## Landmarks
 
-200 procedural shapes that know their corners, tips and ends (`python -m snake_training.data.landmarks`), all methods at the
+200 procedural shapes that know their corners, tips and ends (`python -m snake_training.make landmarks`), all methods at the
 coverage {OBJECT_COVERAGE}: the share of these places that have a keypoint within a threshold.
 
 {shares(tables)}"""
@@ -132,7 +132,7 @@ def bodies_part(annotated: list[dict], posed: list[dict], bent: list[dict]) -> s
     text = f"""## Semantic consistency
 
 Made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
-(`python -m snake_training.data.bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is the network of the
+(`python -m snake_training.make bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is the network of the
 paper's size, `make models/paper.safetensors`. [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
 
 ### Annotated places
@@ -243,8 +243,8 @@ def page(parts: dict[str, str], before: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--objects", help="corpus folder, or any folder of clouds")
-    parser.add_argument("--landmarks", help="folder of python -m snake_training.data.landmarks")
-    parser.add_argument("--bodies", help="folder of python -m snake_training.data.bodies")
+    parser.add_argument("--landmarks", help="folder of python -m snake_training.make landmarks")
+    parser.add_argument("--bodies", help="folder of python -m snake_training.make bodies")
     parser.add_argument("--surfaces", help="corpus folder, for the part on reconstruction")
     parser.add_argument(
         "--scenes", nargs="+", default=[], help="folders with pairs.json; of those after the first 60 pairs"

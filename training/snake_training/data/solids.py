@@ -49,6 +49,13 @@ class Solids:
         """The solids of a mask (S,)."""
         return Solids(row for row, keep in zip(self.rows, mask, strict=True) if keep)
 
+    def later(self, shift):
+        """The same solids after those that move have moved by `shift` metres along x."""
+        return Solids(
+            (kind, center + (shift, 0, 0) if moving else center, axes, fuzz, moving)
+            for kind, center, axes, fuzz, moving in self.rows
+        )
+
     def about(self, center, radius):
         """Those solids that may come within `radius` of `center`."""
         _, middle, axes, _, _ = self.arrays()
