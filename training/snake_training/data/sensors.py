@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .solids import about_axis, dot
+from .solids import about_axis, directions, dot
 from .worlds import room, street
 
 RAYS = 9000  # of a view, at most
@@ -60,8 +60,7 @@ def spinning_lidar(rng, beams=None):
         low, high = -22.5, 22.5
     azimuths = rng.integers(900, 2400)
     elevation = np.radians(np.linspace(low, high, beams) + rng.normal(size=beams) * 0.05)
-    e, a = np.meshgrid(elevation, np.linspace(0, 2 * np.pi, azimuths, endpoint=False), indexing="ij")
-    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+    return directions(elevation, np.linspace(0, 2 * np.pi, azimuths, endpoint=False), "ij")
 
 
 def upright(rng, tilt=0.03):
