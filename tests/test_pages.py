@@ -156,11 +156,14 @@ def test_target_exists(command):
 
 
 @cache
-def help_of(program: str) -> str:
-    """The help of a module or of the script of a path, in this process: each process would import PyTorch again."""
+def help_of(program: str, *kind: str) -> str:
+    """The help of a module or of the script of a path, in this process: each process would import PyTorch again.
+
+    kind: of the data that `snake_training.make` makes.
+    """
     run = runpy.run_path if program.endswith(".py") else runpy.run_module
     with (
-        mock.patch.object(sys, "argv", [program, "--help"]),
+        mock.patch.object(sys, "argv", [program, *kind, "--help"]),
         mock.patch.object(sys, "path", [str(Path(program).parent), *sys.path]),  # as Python does for a script
         contextlib.redirect_stdout(io.StringIO()) as printed,
         warnings.catch_warnings(action="ignore", category=RuntimeWarning),  # the module is imported already
@@ -181,7 +184,8 @@ def test_options_of_python_exist(command):
         found = [folder / words[1] for folder in (ROOT, ROOT / "training") if (folder / words[1]).is_file()]
         assert found, f"{words[1]} is not in the repository"
         program = str(found[0])
-    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program)]), unknown
+    kind = words[3:4] if program == "snake_training.make" else []
+    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program, *kind)]), unknown
 
 
 CHECKED = ("snake-cli", "make", "python", "python3", "cargo", "pip")
