@@ -69,7 +69,7 @@ def joined(tables: str) -> str:
     for table in re.findall(r"(?:^\|.*\n?)+", tables, re.MULTILINE):
         head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines())
         for i, name in enumerate(head):
-            if name not in ("method", "1 in 1", "σ 0"):
+            if name not in ("method", "keypoints", "1 in 1", "σ 0"):
                 columns[name] = {row[0]: row[i] for row in rows}
     methods = list(next(iter(columns.values())))
     rows = [["method", *columns]]
@@ -113,46 +113,37 @@ coverage {OBJECT_COVERAGE}.
 {shares(tables)}"""
 
 
-def consistency(reports: list[dict], *kinds: tuple[str, str]) -> str:
-    """A table of reports of semantic consistency, a row a method; kinds: names of figures in the report and of their columns."""
-    rows = [["method", *(f"{title} {threshold}" for _, title in kinds for threshold in THRESHOLDS), "keypoints"]]
-    for report in reports:
-        for row in (row for row in report["rows"] if row["class"] is None):
-            figures = [f"{value:.3f}" for key, _ in kinds for value in row[key]]
-            rows.append([row["method"], *figures, f"{row['keypoints']:.1f}"])
-    head, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
-    return "".join([head, f"|{'---|' * len(rows[0])}\n", *lines])
+def consistency(reports: dict[str, list[dict]], *kinds: tuple[str, str, str]) -> str:
+    """A table of reports of semantic consistency, a row a method; kinds: set of bodies, figure of its reports, title of the columns."""
+    kinds = tuple(kind for kind in kinds if reports[kind[0]])
+    columns = [f"{title} {threshold}" for _, _, title in kinds for threshold in THRESHOLDS]
+    rows: dict[str, list[str]] = {}
+    for name, figure, _ in kinds:
+        for row in (row for report in reports[name] for row in report["rows"] if row["class"] is None):
+            rows.setdefault(row["method"], []).extend(f"{value:.3f}" for value in row[figure])
+    lines = [
+        f"| {' | '.join(cells)} |\n" for cells in [["method", *columns], *([name, *row] for name, row in rows.items())]
+    ]
+    return "".join([lines[0], f"|{'---|' * (1 + len(columns))}\n", *lines[1:]])
 
 
-def bodies_part(annotated: list[dict], posed: list[dict], bent: list[dict]) -> str:
-    miou = "strict", "mIoU"
-    text = f"""## Semantic consistency
+def bodies_part(reports: dict[str, list[dict]]) -> str:
+    annotated, posed, bent = (reports[name][0]["shapes"] if reports[name] else 0 for name in BODIES)
+    kinds = ("annotated", "strict", "annotated"), ("annotated", "recall", "found"), ("posed", "strict", "posed")
+    return f"""## Semantic consistency
 
-Made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
+The mIoU of made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
 (`python -m snake_training.make bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is
 [that model](../models/README.md#paper). [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
 
-### Annotated places
+- annotated: {annotated} shapes of 8 classes in random poses and proportions, 2048 points each, with annotated tips, ends and corners; the box
+  around a shape has the diagonal 1. mIoU counts every other keypoint as false; found is the share of annotations with a keypoint. Distances
+  are geodesic.
+- posed: {posed} pairs of such bodies in two poses and of proportions that differ by up to 15 %, with the same 2048 points of the surface; the
+  first has the radius 1. The best 20 keypoints of one body are carried to the other.
+{f"- bent: {bent} pairs of a validation object and a bent, twisted copy, in the same way." if bent else ""}
 
-{annotated[0]["shapes"]} shapes of 8 classes in random poses and proportions, 2048 points each, with annotated tips, ends and corners; the box
-around a shape has the diagonal 1. mIoU counts every other keypoint as false; found is the share of annotations with a keypoint. Distances
-are geodesic.
-
-{consistency(annotated, miou, ("recall", "found"))}
-### Two poses
-
-{posed[0]["shapes"]} pairs of such bodies in two poses and of proportions that differ by up to 15 %, with the same 2048 points of the surface;
-the first has the radius 1. The best 20 keypoints of one body are carried to the other.
-
-{consistency(posed, miou)}"""
-    if bent:
-        text += f"""
-### Bent animals and characters
-
-{bent[0]["shapes"]} pairs of a validation object and a bent, twisted copy, in the same way.
-
-{consistency(bent, miou)}"""
-    return text
+{consistency(reports, *kinds, ("bent", "strict", "bent"))}"""
 
 
 def surfaces_part(table: str, objects: str) -> str:
@@ -264,8 +255,8 @@ def main() -> None:
         parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *compact, *few)[1])
     if arguments.bodies:
         few = ["--threshold", ",".join(THRESHOLDS), *(["--limit", str(arguments.limit)] if arguments.limit else [])]
-        sets = [bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES]
-        parts["Semantic consistency"] = bodies_part(*sets)
+        sets = {name: bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES}
+        parts["Semantic consistency"] = bodies_part(sets)
     if arguments.surfaces:
         parts["Reconstruction"] = surfaces(arguments.surfaces)
     if arguments.scenes:

@@ -62,12 +62,22 @@ def report(method: str, shapes: int = 4) -> dict:
 
 
 def test_bodies_have_a_row_a_method_and_bent_ones_only_if_there_are_any():
-    text = results.bodies_part([report("iss"), report("paper")], [report("iss", 5)], [])
-    assert "4 shapes of 8 classes" in text and "5 pairs of such bodies" in text and "Bent" not in text
-    assert "| iss | 0.100 | 0.200 | 0.700 | 0.800 | 12.3 |" in text
-    assert "| paper | 0.100 |" in text and "| iss | 0.100 | 0.200 | 12.3 |" in text
-    assert text.count("| iss |") == 2
-    assert "7 pairs of a validation object" in results.bodies_part([report("a")], [report("a")], [report("a", 7)])
+    reports = {
+        "annotated": [report("iss"), report("paper")],
+        "posed": [report("iss", 5), report("paper", 5)],
+        "bent": [],
+    }
+    text = results.bodies_part(reports)
+    assert (
+        "4 shapes of 8 classes" in text
+        and "5 pairs of such bodies" in text
+        and "bent" not in text.replace("--bends", "")
+    )
+    assert "| method | annotated 0.05 | annotated 0.1 | found 0.05 | found 0.1 | posed 0.05 | posed 0.1 |" in text
+    row = "0.100 | 0.200 | 0.700 | 0.800 | 0.100 | 0.200 |\n"
+    assert f"| iss | {row}" in text and f"| paper | {row}" in text
+    text = results.bodies_part(reports | {"bent": [report("iss", 7), report("paper", 7)]})
+    assert "7 pairs of a validation object" in text and f"| iss | {row[:-1]} 0.100 | 0.200 |" in text
 
 
 def test_a_part_with_two_words_in_its_heading_stays():
