@@ -246,7 +246,16 @@ def main() -> None:
         objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
         alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--coverage", OBJECT_COVERAGE)
-        few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06"]
+        few = [
+            "--methods",
+            "snake,snakex4,surface-variation,iss",
+            "--epsilon",
+            "0.04",
+            "--downsample",
+            "1,8",
+            "--noise",
+            "0,0.06",
+        ]
         _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
         parts["Objects"] = objects_part(alike, paper)
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
