@@ -5,7 +5,7 @@ use std::collections::hash_map::Entry;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Serialize;
-use snake_core::{Control, Model, NamedModel};
+use snake_core::{Builtin, Control, Model, NamedModel};
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
 use snake_eval::reports::registration as reports;
@@ -16,7 +16,7 @@ use snake_registration::{Descriptor, Detector};
 use super::args::RegistrationArguments;
 use super::methods::{External, InFile, best, check_distinct};
 use crate::inputs::ColumnArguments;
-use crate::setup::{builtin_name, named, none_if_zero};
+use crate::setup::{named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
@@ -33,8 +33,8 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
     pub models: Vec<NamedModel>,
-    /// The model that was chosen for the first cloud, if none is named.
-    chosen: Option<String>,
+    /// The model that suits the first cloud, if none is named.
+    which: Option<Builtin>,
     all: Vec<Method>,
     external: Vec<External<'a>>,
     columns: &'a ColumnArguments,
@@ -66,8 +66,8 @@ impl<'a> Methods<'a> {
         let RegistrationArguments { nms_radius, options, run, .. } = arguments;
         let first = || run.columns.read(&scenes.clouds[scenes.pairs[0].target]);
         let start = |model: &Model| VoxelCloud::default_options(model, VOXEL_SIZE);
-        let mut models = run.load_models(&options.values(), first, start)?;
-        let is_open = run.models.is_empty() && run.compute.is_open()?;
+        let which = if run.models.is_empty() { run.compute.suited(&options.values(), first)? } else { None };
+        let mut models = run.load_models(which, start)?;
         let is_preset = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
         let spacing_or_paper = nms_radius.or(is_preset.then_some(PAPER.1));
         for loaded in &mut models {
@@ -77,7 +77,7 @@ impl<'a> Methods<'a> {
             }
         }
         let mut methods = Self {
-            chosen: models.first().filter(|_| is_open).map(|loaded| builtin_name(&loaded.name).to_owned()),
+            which,
             models,
             all: Vec::new(),
             external: arguments.external.iter().map(|(name, folder)| External { name, folder }).collect(),
@@ -143,9 +143,11 @@ impl<'a> Methods<'a> {
 
     /// The name of a detector or descriptor; that of `network` has the model that was chosen.
     fn source_name<T: Serialize + PartialEq>(&self, source: Source<T>, network: T) -> String {
-        match (source, &self.chosen) {
+        match (source, self.which) {
             (Source::Files(file), _) => self.external[file].name.to_owned(),
-            (Source::Builtin(value), Some(model)) if value == network => format!("{} ({model})", name_of(&value)),
+            (Source::Builtin(value), Some(which)) if value == network => {
+                format!("{} ({})", name_of(&value), which.name())
+            }
             (Source::Builtin(value), _) => name_of(&value),
         }
     }

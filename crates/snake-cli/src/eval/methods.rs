@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, DetectOptions, Length, NamedModel, Point};
+use snake_core::{Builtin, Chooser, Control, DetectOptions, Length, NamedModel, Point};
 use snake_eval::ExternalKeypoints;
 use snake_eval::reports::Models;
 use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::{builtin_name, none_if_zero};
+use crate::setup::none_if_zero;
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub struct Method {
@@ -65,7 +65,7 @@ pub struct Ranked {
     /// Best first.
     pub positions: Vec<Point>,
     /// The model that was chosen for the cloud, if none was named.
-    pub model: Option<String>,
+    pub model: Option<Builtin>,
 }
 
 /// The cloud of a file of keypoints.
@@ -181,8 +181,7 @@ impl Method {
                 self.set_number(&mut chosen.options.detect, *spacing);
                 let detection = chosen.detect(&Control::default())?;
                 let positions = detection.keypoints.iter().map(|keypoint| keypoint.position).collect();
-                let model = (chosen.by != ChosenBy::Name).then(|| builtin_name(&chosen.name).to_owned());
-                return Ok(Ranked { positions, model });
+                return Ok(Ranked { positions, model: chosen.which });
             }
             Source::Classical { detector, protocol } => {
                 let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
@@ -229,7 +228,9 @@ impl Source {
 /// How many clouds each model was chosen for.
 pub fn count_models(ranked: &[Ranked]) -> Models {
     let mut models = Models::new();
-    ranked.iter().filter_map(|ranked| ranked.model.clone()).for_each(|model| *models.entry(model).or_default() += 1);
+    for model in ranked.iter().filter_map(|ranked| ranked.model) {
+        *models.entry(model.name().to_owned()).or_default() += 1;
+    }
     models
 }
 
