@@ -3,7 +3,7 @@
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::second_look::less_confident;
+use super::tries::less_confident;
 use crate::cloud::planes::PlanePair;
 use crate::cloud::spread::least_spread;
 use crate::cloud::surface::{Surface, coarse_step};

@@ -3,6 +3,7 @@
 mod cloud;
 mod keypoints;
 mod lengths;
+mod pyramid;
 mod sentinels;
 mod viewpoint;
 mod voxel_cloud;
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 pub use cloud::PreparedCloud;
 pub(crate) use cloud::diameter;
 pub use lengths::Lengths;
+pub(crate) use pyramid::{Given, Level, Pyramid};
 pub use voxel_cloud::VoxelCloud;
 
 use crate::cloud::voxels::downsample;
@@ -86,35 +88,32 @@ pub fn prepare(
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<PreparedClouds> {
-    prepare_named(clouds, &[], viewpoints, model, options, control)
+    prepare_given(
+        &Given { points: clouds.to_vec(), names: &[], viewpoints: viewpoints.to_vec(), model, options },
+        control,
+    )
 }
 
-/// [`prepare`], whose errors name a cloud by `names`, or by its index where it has none.
-pub(crate) fn prepare_named(
-    clouds: &[&[Point]],
-    names: &[&'static str],
-    viewpoints: &[Option<[f64; 3]>],
-    model: Option<&Model>,
-    options: &RegisterOptions,
-    control: &Control,
-) -> Result<PreparedClouds> {
-    let model = options.model_to_run(model)?;
-    let viewpoint = |index: usize| viewpoints.get(index).copied().flatten();
+/// [`prepare`] of clouds as they are given.
+fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
+    let Given { points: clouds, names, options, .. } = given;
+    let model = options.model_to_run(given.model)?;
     let named = |index: usize| move |error| name_cloud(error, index, names);
-    let used = UsedPoints::new_all(clouds, viewpoint).map_err(|(index, error)| named(index)(error))?;
+    let used = UsedPoints::new_all(clouds, |index| given.viewpoint(index));
+    let used = used.map_err(|(index, error)| named(index)(error))?;
     let points: Vec<Cow<[Point]>> = used.iter().map(|used| Cow::Borrowed(&used.points[..])).collect();
-    let given = GivenLengths::new(options, &points)?;
+    let lengths = GivenLengths::new(options, &points)?;
     let each = || used.par_iter().enumerate();
     let diameters = each().map(|(index, used)| used.diameter().map_err(named(index)));
     let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
-    let (voxels, lengths) = given.downsample(&diameters, |voxel_size| {
+    let (voxels, lengths) = lengths.downsample(&diameters, |voxel_size| {
         each().map(|(index, used)| downsample(&used.points, voxel_size, control).map_err(named(index))).collect()
     })?;
     let prepare = |(index, (used, voxels)): (usize, (&UsedPoints, Neighbors))| {
         // The clouds get different random keypoints. With one seed, equal clouds would have a
         // partner for every keypoint.
         let options = options.with_seed(options.seed.wrapping_add(index as u64));
-        used.prepare(voxels, diameters[index], viewpoint(index), &lengths, model, &options, control)
+        used.prepare(voxels, diameters[index], given.viewpoint(index), &lengths, model, &options, control)
             .map_err(named(index))
     };
     let clouds = used.par_iter().zip(voxels).enumerate().map(prepare).collect::<Result<_>>()?;
