@@ -168,7 +168,8 @@ pub fn align_with(
     contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
     left_out.retain(|(pair, _)| edges.iter().all(|edge| [edge.source, edge.target] != *pair));
     left_out.sort();
-    let notes = units_notes(clouds).into_iter().chain(left_out.into_iter().map(|(_, note)| note)).collect();
+    let notes =
+        missing_notes(clouds).chain(units_notes(clouds)).chain(left_out.into_iter().map(|(_, note)| note)).collect();
     Ok(Alignment {
         poses,
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
@@ -190,6 +191,14 @@ fn check_count(count: usize) -> Result<()> {
         });
     }
     Ok(())
+}
+
+/// Notes on missing returns, which were left out of the clouds.
+fn missing_notes(clouds: &[PreparedCloud]) -> impl Iterator<Item = String> {
+    let indexed = clouds.iter().enumerate();
+    indexed.flat_map(|(index, cloud)| {
+        cloud.missing.iter().map(move |words| format!("cloud {index} (from 0): {words}; they are left out"))
+    })
 }
 
 /// A question about the units of each cloud whose size differs much from that of the median one.

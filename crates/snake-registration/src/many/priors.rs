@@ -5,11 +5,10 @@ use std::collections::HashMap;
 use nalgebra::IsometryMatrix3;
 
 use snake_core::{Control, Error, Result};
-use snake_geometry::{Length, RigidTransform, Vector, resolution};
+use snake_geometry::{Length, RigidTransform, Vector, least_spread, resolution};
 
 use super::solved::probes;
 use super::{Contradiction, Registered, TUNING};
-use crate::cloud::spread::least_spread;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::register::tries::{Effort, Search};
 use crate::result::Registration;

@@ -4,7 +4,6 @@ mod cloud;
 mod keypoints;
 mod lengths;
 mod pyramid;
-mod sentinels;
 mod viewpoint;
 mod voxel_cloud;
 
@@ -41,22 +40,6 @@ tuning! {
     /// from there.
     min_visible: f64 = 0.65, unit "share of the voxels",
         from "scans have 0.7 and more even if the sensor moved, whole objects about half (3738705)";
-    /// Missing returns are at least this many points of a cloud.
-    min_missing_points: usize = 50, unit "points", from "set by hand in b0e7886";
-    /// Missing returns are at least this share of a cloud.
-    min_missing_share: f64 = 0.01, unit "share of the points", from "set by hand in b0e7886";
-    /// Distances and depths that differ by less are equal. No surface is so exactly a sphere around
-    /// the sensor, and text files round.
-    missing_tolerance: f64 = 1e-4, unit "share of the distance", from "set by hand in b0e7886";
-    /// Points at one distance are missing returns if their smallest spread is above this: they
-    /// surround the sensor, where a beam on a level floor draws a circle.
-    min_missing_spread: f64 = 1e-3, unit "share of the distance", from "set by hand in b0e7886";
-    /// A plane of missing returns is farther than this from the sensor.
-    min_missing_depth: f64 = 1.5, unit "distances of the farthest other point", from "set by hand in b0e7886";
-    /// A cloud of which less would be left keeps its points: a ball around the origin is a ball.
-    min_left: f64 = 0.05, unit "share of the points", from "set by hand in b0e7886";
-    /// Number of kinds of missing returns in one cloud, at most.
-    max_missing_kinds: usize = 4, unit "kinds", from "set by hand in b0e7886";
 }
 
 /// The default voxel size of a cloud of this diameter.
