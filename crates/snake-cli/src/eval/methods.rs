@@ -204,8 +204,10 @@ impl Method {
         match spacing {
             Spacing::Own => (),
             Spacing::Radius(radius) => options.nms_radius = none_if_zero(radius),
-            // Suppression follows, of all candidates.
-            Spacing::Coverage => (options.nms_radius, options.max_keypoints) = (None, usize::MAX),
+            // Suppression of all candidates follows.
+            Spacing::Coverage => {
+                (options.nms_radius, options.max_keypoints, options.min_confidence) = (None, usize::MAX, None)
+            }
         }
     }
 
