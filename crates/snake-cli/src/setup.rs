@@ -7,10 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{
-    Builtin, BuiltinModels, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, ModelChoice, NamedModel, Options,
-    SimdLevel,
-};
+use snake_core::{Builtin, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, NamedModel, Options, SimdLevel};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
@@ -57,38 +54,36 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, or else the built-in model that suits `cloud`. `start` gives the options that `snake.toml`
-    /// then changes.
-    pub fn load_model(
+    /// Loads the model of `--model`, or else the built-in model `which`. `start` gives the options that `snake.toml` then changes.
+    pub fn load_model(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
+        load(self.named()?.or(which.map(|which| Path::new(which.name()))), start)
+    }
+
+    /// The built-in model that suits a cloud and given values of options; `None` if `--model` names one.
+    pub fn suited(
         &self,
         values: &Map<String, Value>,
         cloud: impl FnOnce() -> Result<Cloud>,
-        start: impl Fn(&Model) -> Options,
-    ) -> Result<NamedModel> {
-        if let Some(path) = self.named()? {
-            return load(Some(path), start);
+    ) -> Result<Option<Builtin>> {
+        if self.named()?.is_some() {
+            return Ok(None);
         }
-        let (chooser, cloud) = (Chooser::new(ModelChoice::default(), values)?, cloud()?);
-        load(Some(Path::new(builtin_name(&chooser.for_cloud(&cloud)?.name))), start)
-    }
-
-    /// Whether no model is named, so that each cloud or the first one decides.
-    pub fn is_open(&self) -> Result<bool> {
-        Ok(self.named()?.is_none())
+        let chooser = Chooser::default().with_values(values)?;
+        Ok(chooser.for_cloud(&cloud()?)?.which)
     }
 
     /// The model of `--model`, by default `scenes`.
     pub fn load_model_of_tiles(&self) -> Result<NamedModel> {
-        load(Some(self.named()?.unwrap_or(Path::new("scenes"))), recommended)
+        self.load_model(Some(Builtin::Scenes), recommended)
     }
 
     /// What chooses model and options of each cloud, for given values of options.
     pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
-        let choice = match self.named()? {
+        let chooser = match self.named()? {
             Some(path) => load(Some(path), recommended)?.into(),
-            None => ModelChoice::Auto(configured_models()?),
+            None => configured_chooser()?,
         };
-        Ok(Chooser::new(choice, values)?)
+        Ok(chooser.with_values(values)?)
     }
 
     /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A model that
@@ -107,17 +102,12 @@ impl ComputeArguments {
     }
 }
 
-/// The built-in models with their options as the configuration changes them.
-fn configured_models() -> Result<BuiltinModels> {
+/// The choice between the built-in models, with their options as the configuration changes them.
+fn configured_chooser() -> Result<Chooser> {
     let config = config::get()?;
-    Builtin::ALL.into_iter().try_fold(BuiltinModels::default(), |models, which| {
-        Ok(models.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
+    Builtin::ALL.into_iter().try_fold(Chooser::default(), |chooser, which| {
+        Ok(chooser.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
     })
-}
-
-/// The name of a built-in model without the words that a report adds.
-pub fn builtin_name(name: &str) -> &str {
-    name.trim_end_matches(", built-in")
 }
 
 /// Prints the model and the options of a cloud, with `--verbose`.

@@ -58,7 +58,7 @@ pub mod steps;
 pub use builtin::Builtin;
 pub use choose::scale_hint;
 #[cfg(feature = "builtin-models")]
-pub use choose::{BuiltinModels, Chooser, Chosen, ChosenBy, ModelChoice, NamedModel};
+pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
 pub use control::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, parallel_map};
 pub use detect::{

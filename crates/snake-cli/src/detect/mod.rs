@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, Detection, Progress, add_origin, parallel_map};
+use snake_core::{Chooser, ChosenBy, Control, Counts, Detection, Progress, add_origin, parallel_map};
 use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
@@ -257,11 +257,6 @@ fn json_line(
     })
 }
 
-/// A confidence in a table. Low ones hardly differ, and do not order keypoints as the saliency does.
-fn shown_confidence(probability: f32) -> String {
-    if probability < 0.5 { "below 0.5".into() } else { format!("{probability:.2}") }
-}
-
 fn table(
     name: &str,
     output: Option<&Path>,
@@ -281,9 +276,11 @@ fn table(
     }
     report.line(format!("{first} in {total:.3} s"));
     if keypoints.is_empty() {
-        let advice =
-            if counts.occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
-        report.line(format!("no keypoints: try {advice}"));
+        report.line(match counts {
+            Counts { occupied: 0, .. } => "no keypoints: try --set occupancy_threshold=0.3",
+            Counts { above_threshold: 0, .. } => "no keypoints: try a lower --saliency-threshold",
+            _ => "no keypoint is found again more often than chance, as on a flat wall: --min-confidence 0 gives all",
+        });
     } else {
         let [x, y, z] = ["x", "y", "z"];
         report.heading(format!(
@@ -295,7 +292,7 @@ fn table(
         let [x, y, z] = add_origin(k.position, origin);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         let rank = rank + 1;
-        let confidence = k.confidence.map_or("-".into(), shown_confidence);
+        let confidence = k.confidence.map_or("-".into(), |probability| format!("{probability:.2}"));
         report.line(format!(
             "{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {confidence:>10} {occupancy:>9.4} {nearest:>8}"
         ));

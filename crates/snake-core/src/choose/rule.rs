@@ -16,7 +16,7 @@ const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
 const DOUBT: f64 = 0.5;
 
-/// A wire or a curve is no scene: the surroundings of its cells are less broad than this.
+/// Clouds whose second scene sign, the breadth of surroundings, is at most this are wires or curves, never scenes.
 const CURVE: f64 = 0.2;
 
 /// The given option that only one kind of model has, and the built-in model of that kind. An option that is off does not

@@ -7,7 +7,7 @@ use crate::network::ModelConfig;
 use crate::options::Options;
 use snake_geometry::Point;
 
-/// Share of the cloud's radius within which half of the points lie where far points decide the scale. Whole objects and
+/// A few far points set the scale if the median distance from the centre is below this fraction of the radius. Whole objects and
 /// rooms have 0.25 and more, a sweep of a spinning LiDAR about 0.1.
 const CROWDED: f64 = 0.2;
 /// Number of points and radii, in cloud units, of clouds that may be rooms in metres.

@@ -352,7 +352,7 @@ fn check_parts(detect: &DetectOptions, max_points: Option<usize>) -> Result<()> 
     Ok(())
 }
 
-/// A volume that is too large for a voxel size has room in smaller tiles.
+/// Adds to the error of a volume that is too large that smaller tiles help.
 fn advised(error: Error) -> Error {
     match error {
         Error::Option { name: "voxel_size", value, allowed } => {

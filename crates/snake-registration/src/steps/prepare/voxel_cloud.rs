@@ -83,7 +83,8 @@ impl VoxelCloud {
         let recommended = *model.recommended();
         let encode = recommended.encode.with_normalization(NORMALIZATION).with_rotations(1);
         // FPFH describes the surface, so keypoints are moved onto it.
-        let detect = recommended.detect.with_saliency_threshold(0.0).with_mode_radius(None).with_snap(true);
+        let detect = recommended.detect.with_saliency_threshold(0.0).with_mode_radius(None).with_min_confidence(None);
+        let detect = detect.with_snap(true);
         recommended.with_encode(encode).with_detect(detect.with_nms_radius(Some(Length::Units(voxel_size))))
     }
 
