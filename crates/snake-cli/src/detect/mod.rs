@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use snake_core::{Chooser, ChosenBy, Control, Counts, Detection, Progress, add_origin, parallel_map};
 use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
-use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
+use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
 use crate::setup::detail_of;
 use crate::terminal::{self, Bar, Report};
@@ -144,7 +144,7 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_without_hint(input, self.chooser.seed())?;
+        let contents = self.arguments.input.read_contents(input, self.chooser.seed())?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
@@ -156,7 +156,6 @@ impl Job<'_> {
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
         let Item { input, name, output, recorded, contents, start, bar } = item;
-        let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
         let Self { arguments, control, .. } = *self;
         let read = start.elapsed().as_secs_f64();
@@ -174,7 +173,7 @@ impl Job<'_> {
             }
             hints.push(hint);
         };
-        missing_returns.into_iter().chain(chosen.notes()).for_each(&mut add_hint);
+        chosen.notes().into_iter().for_each(&mut add_hint);
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
         chosen.cluster_hint(&detection).into_iter().for_each(&mut add_hint);
         let mut origin_to_add = [0.0; 3];

@@ -399,14 +399,14 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
 }
 
 #[test]
-fn missing_returns_have_a_note_with_their_share() {
+fn missing_returns_are_left_out_with_a_note() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("zeros.npy");
     let points = snake_io::read_points(Path::new(&sample())).unwrap();
     let points: Vec<f32> = points.into_iter().flat_map(|[x, y, z]| [x, y, z + 9.0, 0.0, 0.0, 0.0]).collect();
     write_npy(&path, &[8192, 3], &points);
     let path = path.display().to_string();
-    let note = "4096 of 8192 points (50 %) are exactly 0 0 0";
+    let note = "4096 of 8192 points (50 %) are at (0, 0, 0), as missing returns are written; they are left out";
     let detected = snake(&["detect", &path, "--json"]);
     assert!(json_lines(&detected)[0]["notes"][0].as_str().unwrap().starts_with(note));
     assert_eq!(stderr(&detected).matches(note).count(), 1, "{}", stderr(&detected));

@@ -45,7 +45,7 @@ impl VoxelCloud {
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn new(points: &[Point], lengths: &Lengths, control: &Control) -> Result<Self> {
         lengths.check()?;
-        let points = FinitePoints::of("points", points)?.points;
+        let points = FinitePoints::clean("points", points, None)?.points;
         let voxels = downsample(&points, lengths.voxel_size, control)?;
         Self::from_voxels(&points, voxels, lengths, Orientation::Mean, control)
     }
