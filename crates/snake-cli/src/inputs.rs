@@ -87,7 +87,7 @@ impl InputArguments {
         self.read_contents(path, seed).map(|contents| contents.cloud)
     }
 
-    /// [`InputArguments::read`] with what else the file says. A hint of missing returns is printed.
+    /// [`InputArguments::read`] with everything else that the file says. Prints a hint of missing returns.
     pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.read_without_hint(path, seed)?;
         if let Some(hint) = missing_returns(&contents) {
@@ -103,7 +103,7 @@ impl InputArguments {
             return Ok(Attributes::default());
         }
         let mut attributes = io::read_attributes(path, self.input_format, cloud.points.len())?;
-        // As the points, the sensor is relative to the cloud's origin.
+        // The sensor's position is relative to the cloud's origin, as the points are.
         attributes.viewpoint.iter_mut().flatten().zip(cloud.origin).for_each(|(v, origin)| *v -= origin);
         Ok(attributes)
     }
@@ -116,7 +116,8 @@ impl InputArguments {
             Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
         }
         if let Some(share) = dominant_face {
-            let (name, percent) = (path.display(), 100.0 * share);
+            let name = path.display();
+            let percent = 100.0 * share;
             terminal::warn(&format!(
                 "{name}: one face holds {percent:.0} % of the mesh's surface, and so of the samples"
             ));
