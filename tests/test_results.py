@@ -23,6 +23,16 @@ def test_tables_of_one_evaluation_are_joined():
     assert lines[2:] == ["| iss | 0.1 | 0.2 | 0.3 |", "| iss (paper) | - | - | - |"]
 
 
+def test_of_the_figures_beyond_chance_one_column_is_shown():
+    beyond = "| method | beyond ε 0.02 | beyond ε 0.04 | on flat places |\n|---|---|---|---|\n| iss | 0.3 | 0.4 | 0.5 |\n"
+    tables = "Mean:\n\n| method | ε 0.04 |\n|---|---|\n| iss | 0.1 |\n\nBeyond:\n\n" + beyond
+    assert results.joined(tables, "0.04").splitlines()[::2] == [
+        "| method | ε 0.04 | beyond ε 0.04 | on flat places |",
+        "| iss | 0.1 | 0.4 | 0.5 |",
+    ]
+    assert results.joined(tables).splitlines()[0] == "| method | ε 0.04 |"
+
+
 def test_parts_hold_their_tables():
     text = results.objects_part(({"pairs": 4}, table("A")), table("B"))
     assert re.findall("TABLE .", text) == ["TABLE A", "TABLE B"] and "on 4 objects" in text

@@ -103,17 +103,15 @@ pub struct CloudReport {
 
 impl Verdict {
     fn new(verdict: &core::Verdict) -> Self {
-        let core::Verdict { confidence, is_reliable, is_ambiguous, .. } = *verdict;
-        let core::Verdict { weakest_constraint, slide_margin, repeat_fit, free_space_violation, .. } = *verdict;
         Self {
-            confidence,
-            is_reliable,
-            is_ambiguous,
+            confidence: verdict.confidence,
+            is_reliable: verdict.is_reliable,
+            is_ambiguous: verdict.is_ambiguous,
             notes: verdict.notes.clone(),
-            weakest_constraint,
-            slide_margin,
-            repeat_fit,
-            free_space_violation,
+            weakest_constraint: verdict.weakest_constraint,
+            slide_margin: verdict.slide_margin,
+            repeat_fit: verdict.repeat_fit,
+            free_space_violation: verdict.free_space_violation,
         }
     }
 }

@@ -90,7 +90,7 @@ impl Lattice {
         }
     }
 
-    /// The size of a voxel along an axis, of a cloud with so many units in one network unit whose volume ends there.
+    /// The voxel size along `axis` in cloud units; `scale` is cloud units per network unit, `[low, high]` are the ends of the volume.
     pub(crate) fn voxel_size_along(&self, axis: usize, [low, high]: [f32; 2], scale: f32) -> f32 {
         match self {
             Self::Cube(frame) => (high - low) / frame.resolution[axis] as f32,
