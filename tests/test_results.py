@@ -24,7 +24,9 @@ def test_tables_of_one_evaluation_are_joined():
 
 
 def test_of_the_figures_beyond_chance_one_column_is_shown():
-    beyond = "| method | beyond ε 0.02 | beyond ε 0.04 | on flat places |\n|---|---|---|---|\n| iss | 0.3 | 0.4 | 0.5 |\n"
+    beyond = (
+        "| method | beyond ε 0.02 | beyond ε 0.04 | on flat places |\n|---|---|---|---|\n| iss | 0.3 | 0.4 | 0.5 |\n"
+    )
     tables = "Mean:\n\n| method | ε 0.04 |\n|---|---|\n| iss | 0.1 |\n\nBeyond:\n\n" + beyond
     assert results.joined(tables, "0.04").splitlines()[::2] == [
         "| method | ε 0.04 | beyond ε 0.04 | on flat places |",
