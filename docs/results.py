@@ -15,7 +15,7 @@ from pathlib import Path
 
 RUNS = Path("target/results")
 PAGE = Path("docs/results.md")
-# What all methods cover: in units of the objects' radius, and in metres.
+# The coverage of all methods: in units of the objects' radius, and in metres.
 OBJECT_COVERAGE = "0.14"
 ROOM_COVERAGE = "0.197"
 # Pairs of scenes, evenly spaced, in repeatability, and in registration beyond the first folder of scenes.

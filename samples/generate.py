@@ -1,6 +1,6 @@
 """Writes the made clouds of this folder: python samples/generate.py. Needs the package of training/.
 
-`room/1.ply` to `room/3.ply` are scans of one furnished room from three places, each in the frame of its scanner. `sweep.ply` is a
+`room/1.ply` to `room/3.ply` are scans of one furnished room from three positions, each in the frame of its scanner. `sweep.ply` is a
 turn of a LiDAR with 32 beams in a street. All are cast from boxes, with noise, from fixed seeds; in metres. `plane.ply` is of
 another origin (see models/DATA.md).
 """

@@ -22,7 +22,7 @@ def test_every_block_of_code_is_a_part_of_an_example():
 
 
 COMMANDS = re.findall(r"^cargo run --release -p \S+(?: --features \S+)? --example \S+(?: -- .*)?$", PAGE, re.MULTILINE)
-# What an example prints, where it shows that the example did its work.
+# The output of an example, where it shows that the example did its work.
 PRINTED = {
     "pointcloud2": "400 points skipped",
     "realtime_loop": "p99",

@@ -1,4 +1,4 @@
-"""Registration of made scans, and of the real sweeps of `../shared/data` where they are: true priors, places that repeat."""
+"""Registration of made scans, and of the real sweeps of `../shared/data` where they are: true priors, scenes that repeat."""
 
 import itertools
 import json
@@ -81,15 +81,15 @@ def fence(box):
 
 
 @pytest.mark.parametrize(
-    "place, columns, metres",
+    "scene, columns, metres",
     [
         *((windows, 500, metres) for metres in (1.05, 1.5, 3.0)),
-        # The first two put the sensors at one place, where their rays coincide on the ground.
+        # The first two put the sensors at one point, where their rays coincide on the ground.
         *((fence, 800, metres) for metres in (1.2, 2.15, 2.65)),
     ],
 )
-def test_places_that_repeat_are_ambiguous_wherever_the_sensor_stood(place, columns, metres, generate):
-    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), *place(generate.box)]
+def test_places_that_repeat_are_ambiguous_wherever_the_sensor_stood(scene, columns, metres, generate):
+    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), *scene(generate.box)]
     rays, rng = generate.turn(np.linspace(-45, 45, 48), columns), np.random.default_rng(0)
     source, target = (generate.scanned(boxes, [x, 0, 1.4], 0, rays, 14, 0.008, rng) for x in (0, metres))
     result = snake_rs.register(source, target)

@@ -1,4 +1,4 @@
-"""What the pages say is so: commands and examples run as they stand, links lead somewhere, and a page stays short.
+"""The pages are true: commands and examples run as they stand, links lead somewhere, and a page stays short.
 
 A command of ours runs in a folder where every input that it names exists: files of the repository, and copies of samples under all
 other names. A command whose data only the reader has names it in CAPITALS: its options are checked, and it runs until it misses the

@@ -45,7 +45,7 @@ def test_outliers_are_named_and_change_no_keypoint(outliers):
 
 
 def sky(kind: str, seed: int = 0) -> np.ndarray:
-    """What splats and photogrammetry have about a scene of size 1."""
+    """Sky and floaters, as splats and photogrammetry have them about a scene of size 1."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
@@ -103,10 +103,10 @@ def test_outliers_in_either_cloud_change_no_transform(outliers):
     assert np.array_equal(both.t_target_source, expected.t_target_source)
 
 
-@pytest.mark.parametrize("place", ["0 0 0", "one depth"])
-def test_missing_returns_are_left_out_alike_by_detection_and_registration(place):
+@pytest.mark.parametrize("kind", ["0 0 0", "one depth"])
+def test_missing_returns_are_left_out_alike_by_detection_and_registration(kind):
     clean = bowl() + [6, 1, 0]
-    rows = {"0 0 0": np.zeros((5000, 3)), "one depth": np.c_[bowl(seed=2)[:, :2] * 40, np.full(5000, 65.535)]}[place]
+    rows = {"0 0 0": np.zeros((5000, 3)), "one depth": np.c_[bowl(seed=2)[:, :2] * 40, np.full(5000, 65.535)]}[kind]
     dirty = np.stack([clean, rows], axis=1).reshape(-1, 3)
     with pytest.warns(UserWarning, match="^5000 of 10000 points .50 %. are .*left out"):
         found = snake_rs.detect(dirty)

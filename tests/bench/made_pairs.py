@@ -94,7 +94,7 @@ def sweep(world: Solids, pose: np.ndarray, rng: np.random.Generator) -> np.ndarr
 
 
 def sweeps(count: int, seed: int = 0) -> list[MadePair]:
-    """Sweeps from two places 10 m apart along a street; the sensor's heading is random and its tilt up to 2 degrees."""
+    """Sweeps from two positions 10 m apart along a street; the sensor's heading is random and its tilt up to 2 degrees."""
     found = []
     for index in range(count):
         rng = np.random.default_rng([seed, index])

@@ -88,7 +88,7 @@ def seen_twice(world: Solids, poses: list[np.ndarray], *sensor, limit: float) ->
 
 
 def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
-    """A corridor or a round tunnel from two places along it: its surface leaves the way along it open."""
+    """A corridor or a round tunnel from two positions along it: its surface leaves the way along it open."""
     world, height = Solids(), rng.uniform(2.2, 3.5)
     if is_round:
         radius = rng.uniform(1.5, 4.0)
@@ -113,7 +113,7 @@ def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
 
 
 def pillars(rng: np.random.Generator) -> Made:
-    """A row of equal pillars, between walls or in the open, from places one or two periods apart."""
+    """A row of equal pillars, between walls or in the open, from positions one or two periods apart."""
     period, size, height = rng.uniform(1.0, 2.5), rng.uniform(0.15, 0.5), rng.uniform(2.0, 5.0)
     at = np.arange(-60, 60) * period
     rows = (-1.0, 1.0) if rng.random() < 0.5 else (1.0,)

@@ -94,7 +94,7 @@ def inside_volume(queries):
 def two_views(cloud, config, rng):
     """One sample for the four losses from a cloud (M, 3) of any unit, as float32 arrays by name.
 
-    points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical places in
+    points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical points in
     both views; inside (2, G, H^3): which grid points lie within the padded volume. The first view is the cloud as it is, the
     second is turned, with noise and fewer points. What turn and shift move out of the volume is cut off before the rest is
     moved to the origin, as in the released code: otherwise the shift would have no effect.

@@ -20,7 +20,7 @@ KEPT = 0.99  # share of the scenes of the corpus that are taken for scenes: a sc
 
 
 def signs(clouds):
-    """The signs (N, 8) of clouds; those that are too small are left out."""
+    """The signs (N, 8) of clouds, without those of clouds that are too small."""
     found = (scene_signs(np.ascontiguousarray(cloud, dtype=np.float32)) for cloud in clouds)
     return np.array([row for row in found if row is not None])
 
@@ -61,7 +61,7 @@ def fragments(folder, left_out, rng):
 
 
 def columns(rows):
-    """What is weighed: the signs (N, 8) and their squares, (N, 16)."""
+    """The weighed columns (N, 16): the signs (N, 8) and their squares."""
     return np.column_stack([rows, rows**2])
 
 

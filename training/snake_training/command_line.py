@@ -23,7 +23,7 @@ def parse_arguments(argv, description):
     preset = parser.parse_known_args(argv)[0].preset
     parser.set_defaults(**PRESETS[preset])
     parser.add_argument("-h", "--help", action="help", help="show these settings, with the preset's values, and exit")
-    # What a namespace holds already, argparse leaves alone: None tells what was not given.
+    # argparse leaves the values of a namespace alone: None marks an option that was not given.
     given = vars(parser.parse_args(argv, argparse.Namespace(**dict.fromkeys(NETWORK_SHAPE))))
     values = parser.parse_args(argv)
     check_run(parser, values)

@@ -23,7 +23,7 @@ def setting(default, meaning, **kwargs):
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """What the training loop itself needs, whatever its task."""
+    """Settings of the training loop, for every task."""
 
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
@@ -230,7 +230,7 @@ PRESETS = {
 }  # fmt: skip
 
 
-# Ranges of the settings; what is not named here may be anything of its type.
+# Ranges of the settings; others may have any value of their type.
 POSITIVE = (
     "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "num_occupancy", "grid_size", "grid_fraction",
     "num_targets", "steps", "batch", "learning_rate", "validate_every", "validation_objects", "validation_resolution",
@@ -280,7 +280,7 @@ def check(config):
 
 
 def check_objects(config):
-    """The same of what a run on objects has alone."""
+    """The same for the settings of runs on objects alone."""
     if config.num_grids < 1:
         raise ValueError(f"num_grids must be positive, got {config.num_grids}")
     if config.fresh_saliency and not config.init:

@@ -26,24 +26,24 @@ def evaluate(data, output, words):
     subprocess.run([*map(str, command)], check=True, stdout=subprocess.DEVNULL)
     report = json.loads((output / "repeatability.json").read_text())
     (row,), epsilon = report["rows"], report["settings"]["epsilon"]
-    place = epsilon.index(0.04) if 0.04 in epsilon else 0
-    return row["repeatability"][place], row["deviation"][place], row["keypoints"], epsilon[place]
+    column = epsilon.index(0.04) if 0.04 in epsilon else 0
+    return row["repeatability"][column], row["deviation"][column], row["keypoints"], epsilon[column]
 
 
 def svg(label, points):
     """A curve through points (value, share) as SVG; the shares are on an axis from 0 to 1."""
     low, high = min(x for x, _ in points), max(x for x, _ in points)
 
-    def place(x, y):
+    def pixel(x, y):
         across = (x - low) / (high - low) if high > low else 0.5
         return MARGIN + across * (WIDTH - 2 * MARGIN), HEIGHT - MARGIN - y * (HEIGHT - 2 * MARGIN)
 
     def text(x, y, words, turn=""):
         return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle"{turn}>{words}</text>'
 
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(*point) for point in points))
-    marks = [text(place(x, 0)[0], HEIGHT - MARGIN + 16, f"{x:g}") for x, _ in points]
-    marks += [text(MARGIN - 16, place(low, y / 5)[1] + 4, f"{y / 5:g}") for y in range(6)]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (pixel(*point) for point in points))
+    marks = [text(pixel(x, 0)[0], HEIGHT - MARGIN + 16, f"{x:g}") for x, _ in points]
+    marks += [text(MARGIN - 16, pixel(low, y / 5)[1] + 4, f"{y / 5:g}") for y in range(6)]
     middle = HEIGHT / 2
     return "\n".join(
         [

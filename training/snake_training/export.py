@@ -22,7 +22,7 @@ from .scene_model import SceneConfig, SceneNetwork
 
 @contextmanager
 def replacing(path):
-    """A temporary name for a file that takes the place of `path` once it is whole."""
+    """A temporary name for a file that replaces `path` once it is whole."""
     temporary = Path(f"{path}.partial")
     try:
         yield temporary

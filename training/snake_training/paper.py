@@ -37,12 +37,12 @@ LIST_630 = "keypointnet_test_630.txt"
 
 
 class Programme:
-    """The tables that are asked for, of data and lists in folders, into a folder of runs, with the number of networks that a mean
-    is of. `smoke` does everything with next to no work."""
+    """The tables that are asked for, from folders of data and lists into a folder of runs; a mean is over `seeds` networks. `smoke` does
+    everything with next to no work."""
 
     def __init__(self, names, data, lists, run_dir, seeds=6, smoke=False):
         self.items = {name: ITEMS[name] for name in names}
-        self.places = {"data": str(data), "lists": str(lists), "run": str(run_dir)}
+        self.folders = {"data": str(data), "lists": str(lists), "run": str(run_dir)}
         self.run_dir, self.seeds, self.smoke = Path(run_dir), seeds, smoke
         self.commands = list(dict.fromkeys(command for item in self.items.values() for command in commands_of(item)))
 
@@ -52,7 +52,7 @@ class Programme:
         return list({(network.name, seed): (network, seed) for network, seed in wanted}.values())
 
     def seeds_of(self, command):
-        """Of how many models the paper's figure is a mean: all seeds, or one."""
+        """The number of models whose mean the paper's figure is: all seeds, or one."""
         return self.seeds if command.seeds else 1
 
     def folder(self, network, seed):
@@ -62,22 +62,22 @@ class Programme:
     def training_words(self, network, seed):
         """The settings of a run, for `snake_training.train`."""
         folder, *lists, _ = TRAINING[network.preset]
-        data, (split, validation) = f"{self.places['data']}/{folder}", lists
+        data, (split, validation) = f"{self.folders['data']}/{folder}", lists
         words = ["--preset", network.preset, "--data", data, "--validation-data", data]
         if split:
-            at = self.places["lists"]
+            at = self.folders["lists"]
             words += ["--split", f"{at}/{split}", "--validation-split", f"{at}/{validation}"]
         words += ["--seed", str(seed), *network.words, *(SMOKE.split() if self.smoke else ())]
         return [*words, "--run-dir", str(self.folder(network, seed))]
 
     def export_words(self, network, seed):
-        """Those of `snake_training.export`."""
+        """The arguments of `snake_training.export`."""
         folder = self.folder(network, seed)
         return [str(folder), "-o", str(folder / "weights.safetensors")]
 
     def command_words(self, command):
-        """Those of snake-cli."""
-        words = [word.format(**self.places) for word in command.words.split()]
+        """The arguments of snake-cli."""
+        words = [word.format(**self.folders) for word in command.words.split()]
         files = [
             f"{self.folder(command.network, seed)}/weights.safetensors" for seed in range(1, self.seeds_of(command) + 1)
         ]
@@ -91,12 +91,12 @@ class Programme:
         return words
 
     def tables_of(self, command):
-        """The folder of an evaluation's tables: of other numbers of models they are others."""
+        """The folder of an evaluation's tables, which depend on the number of models."""
         return self.run_dir / "tables" / command.name / (f"seeds{self.seeds}" if command.seeds else "")
 
     def missing(self):
         """The files that are not there, each with where it comes from, as lines."""
-        return missing(self.commands, [network for network, _ in self.models(self.commands)], self.places)
+        return missing(self.commands, [network for network, _ in self.models(self.commands)], self.folders)
 
     def samples(self, network, seed):
         """How many samples a run has, and how many hours of an H100 they take: an estimate from the operations of both views,
@@ -133,8 +133,8 @@ class Programme:
         return [*lines, f"# {number} networks, about {total:.0f} hours of an H100"]
 
     def preparations(self):
-        """What snake-cli reads and the downloads have in another form: the file, the line of a shell that makes it, and how."""
-        lists, bodies = Path(self.places["lists"]), Path(self.places["data"]) / "smpl_model"
+        """Files that the downloads have in another form: the file, the line of a shell that makes it, and a function that does."""
+        lists, bodies = Path(self.folders["lists"]), Path(self.folders["data"]) / "smpl_model"
         names, made = self.run_dir / LIST_630, self.run_dir / "smpl_bodies"
         model = made / "model.npz"
 
@@ -160,7 +160,7 @@ class Programme:
         return [step for named, *step in steps if any(named in command.words for command in self.commands)]
 
     def run(self, snake_cli, device="auto", minutes=0.0, workers=0, log=print):
-        """Everything that is not done yet, then the tables; returns whether the minutes sufficed."""
+        """Does what is not done yet, then writes the tables; returns whether the minutes sufficed."""
         deadline = time.monotonic() + 60 * minutes if minutes else None
         self.run_dir.mkdir(parents=True, exist_ok=True)
         for path, _, write in self.preparations():
@@ -181,7 +181,7 @@ class Programme:
         return True
 
     def train(self, network, seed, device, minutes, workers):
-        """A network to its weight file; returns whether it is done. Another run's folder is a ValueError."""
+        """Trains a network to its weight file; returns whether it is done. Another run's folder is a ValueError."""
         folder, words = self.folder(network, seed), self.training_words(network, seed)
         given = folder / "words.json"
         if given.exists() and json.loads(given.read_text()) != words[:-2]:  # without the folder itself
@@ -214,18 +214,18 @@ def commands_of(item):
 
 
 def snake_rows(folder, table):
-    """Of a table that snake-cli wrote: column -> figure of our network, and of the paper's. Counts beside them are left out."""
+    """The figures of our network and of the paper's by column, of a table that snake-cli wrote, without counts."""
     (path,) = folder.glob("*.md")
     groups = [group for group in path.read_text().split("\n\n") if group.startswith("|")]
     head, _, *rows = (
         [cell.strip() for cell in line.strip("|").split("|")] for line in groups[table].splitlines() if line[0] == "|"
     )
-    columns = [place for place, name in enumerate(head) if place and name not in ("keypoints", "coverage")]
+    columns = [column for column, name in enumerate(head) if column and name not in ("keypoints", "coverage")]
     ours, paper = (
         [row for row in rows if row[0].startswith("snake") and row[0].endswith("(paper)") == is_paper]
         for is_paper in (0, 1)
     )
-    return tuple({head[place]: some[0][place] for place in columns} if some else {} for some in (ours, paper))
+    return tuple({head[column]: some[0][column] for column in columns} if some else {} for some in (ours, paper))
 
 
 def main(argv=None):

@@ -90,7 +90,7 @@ def methods(names, model, resolution):
 
 
 def view(shape, num_points, downsample, noise, rng):
-    """What a method sees of a shape (N, 3) of radius 1: some of `num_points` points, with noise."""
+    """A method's view of a shape (N, 3) of radius 1: some of `num_points` points, with noise."""
     points = choose(rng, shape, min(num_points, len(shape)) // downsample)
     return points + noise * rng.normal(size=points.shape)
 

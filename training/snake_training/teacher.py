@@ -6,7 +6,7 @@ in differently turned copies of a cloud are nearly independent: their mean repea
 DeTone et al. 2018, averages over homographies for the same reason). A third of the copies has noise and a third is thinned, so
 that the mean is what survives both. Still no labels.
 
-Of several networks the target is the highest: one student learns the places of all.
+Of several networks the target is the highest: one student learns the keypoints of all.
 """
 
 import json
@@ -158,7 +158,7 @@ class Targets:
 
 
 class Draws(Dataset):
-    """What the teacher is asked of each shape: (cloud (N, 3), queries (Q, 3), clouds (K, N, 3), rotations (K, 3, 3))."""
+    """The teacher's input for each shape: (cloud (N, 3), queries (Q, 3), clouds (K, N, 3), rotations (K, 3, 3))."""
 
     def __init__(self, shapes, settings):
         self.shapes, self.settings = shapes, settings

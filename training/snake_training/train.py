@@ -143,7 +143,7 @@ def interruption():
 
 
 class State:
-    """What a run has reached: step, network, averaged weights, Adam and since which step it runs, best score."""
+    """The state of a run: step, network, averaged weights, Adam and since which step it runs, best score."""
 
     def __init__(self, task, folder, device):
         self.task, self.folder = task, folder
@@ -280,8 +280,8 @@ def validate(state, device, autocast, log):
 
 
 def train(config, device="auto", minutes=0.0, workers=0):
-    """A run on objects, as the command line asks for it; returns whether it reached its last step. What cannot be read or
-    trained on is a SystemExit of one line."""
+    """A run on objects, as the command line asks for it; returns whether it reached its last step. Data that cannot be read or
+    trained on are a SystemExit of one line."""
     try:
         return run(Objects(config), config.run_dir, device, minutes, workers)
     except CloudError as error:

@@ -45,7 +45,7 @@ def entry(source, path, faces=12, spread="0.5,0.3,0.2", split="train", digest="0
 
 
 def listed():
-    """What the clones hold and what they lack."""
+    """Entries that the clones hold, and entries that they lack."""
     return [
         entry("us/boxes", "crate.obj"),
         entry("us/boxes", "broken.stl"),

@@ -57,10 +57,10 @@ def test_corners_respond_and_edges_and_planes_do_not():
     world.add(CUBE, (-15, -15, -15), (15, 15, 15))
     surface = world.surface(np.zeros(3), 22, DENSITY, np.random.default_rng(5)) @ turn.T
     response, mass = corner_response(surface, 22.0)
-    places = np.array([[0, 0, 0], [-9, 0, 0], [-9, -9, 0], [5, 5, 5]]) @ turn.T
-    corner, edge, plane, _ = levels(torch.from_numpy(read(response, places, 22.0))).tolist()
+    positions = np.array([[0, 0, 0], [-9, 0, 0], [-9, -9, 0], [5, 5, 5]]) @ turn.T
+    corner, edge, plane, _ = levels(torch.from_numpy(read(response, positions, 22.0))).tolist()
     assert corner > 0.5 and edge < 0.1 and plane < 0.1
-    assert read(mass, places, 22.0)[3] == pytest.approx(0, abs=0.01)
+    assert read(mass, positions, 22.0)[3] == pytest.approx(0, abs=0.01)
 
 
 def test_a_crop_is_the_same_on_every_run_and_its_points_lie_at_its_surface():

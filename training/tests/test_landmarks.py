@@ -16,14 +16,14 @@ def test_landmarks_are_points_of_a_shape_of_radius_one_and_stand_apart(name):
     assert (points == again).all() and points.dtype == np.float32
     assert np.linalg.norm(points, axis=1).max() == pytest.approx(1, abs=1e-5)
     assert 7 <= len(indices) <= 16
-    places = points[indices]
-    assert np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(places), 1)].min() > 0.02
+    marks = points[indices]
+    assert np.linalg.norm(marks[:, None] - marks, axis=2)[np.triu_indices(len(marks), 1)].min() > 0.02
 
 
 def test_the_landmarks_of_a_box_are_its_extreme_points():
-    patches, places = boxes(np.random.default_rng(1))
+    patches, marks = boxes(np.random.default_rng(1))
     vertices = np.concatenate([patch.reshape(-1, 3) for patch in patches])
-    assert (np.abs(places[:8]) == np.abs(vertices[:24]).max(axis=0)).all()
+    assert (np.abs(marks[:8]) == np.abs(vertices[:24]).max(axis=0)).all()
 
 
 def test_the_folder_has_keypointnets_layout(tmp_path):

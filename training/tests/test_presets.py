@@ -75,7 +75,7 @@ def test_the_best_validation_is_of_the_least_total_loss(tiny):
 
 
 def recommended(path):
-    """What a weight file says."""
+    """The metadata of a weight file."""
     with safe_open(path, "pt") as file:
         return file.metadata().get("recommended_options")
 
@@ -131,7 +131,7 @@ def test_given_metadata_overrides_the_preset(tmp_path, official):
 
 
 def checkpoint(config, network):
-    """What a run of these settings saves, without Adam."""
+    """The checkpoint of a run of these settings, without Adam."""
     own = {"settings": to_json(config), "network_config": network.config.to_metadata()}
     return own | {"step": 1, "began": 0, "best": 0.0, "ema": network.state_dict()}
 

@@ -72,7 +72,7 @@ def test_no_training_comes_after_what_needs_the_module(path):
 
 
 def check_end_of_objects(run_dir, max_bytes, channels):
-    """What a recipe of objects ends with."""
+    """The results of a recipe of objects."""
     weights = run_dir / f"{run_dir.name}.safetensors"
     assert weights.stat().st_size < max_bytes
     assert load_network(weights).config.unet_base_channels == channels
@@ -117,7 +117,7 @@ def test_training_goes_on_from_its_checkpoint_bit_for_bit(run_dir, tmp_path):
 
 
 def test_scenes_learn_by_the_four_losses_too(run_dir):
-    """Local grids are the same places in both views: distances within them agree."""
+    """Local grids are the same points in both views: distances within them agree."""
     settings = SceneTraining(batch=2, side=24, num_occupancy=20, num_grids=6, grid_size=3, bf16=False)
     task = Scenes(settings, Crops(run_dir / "crops"))
     batch = task.ready(task.batch(0, 2))
@@ -150,7 +150,7 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     state = torch.load(there / "compact/field/last.pt", weights_only=True)
     assert (state["step"], state["began"]) == (2, 1)
     check_end_of_objects(there / "compact", 1_000_000, 16)
-    # What is done moves too: nothing is trained again. Of a start of a network that has begun, that it is done.
+    # Finished stages move too, so nothing is trained again; of the start of a network that has begun only the mark moves.
     moved = json.loads((pieces / "compact" / moving.LIST).read_text())
     assert "field/done.json" in moved and "field/weights.safetensors" not in moved
     assert "student/weights.safetensors" in moved

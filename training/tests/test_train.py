@@ -101,7 +101,7 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured | health
     assert all(math.isfinite(value) for steps in logged.values() for value in steps.values())
     assert not list(run.glob("*.partial"))
-    # What is exported is the average, in a network that detection can use.
+    # The export has the average, in a network that detection can use.
     average = load_network(run)
     assert average.config == config.network
     saved = state(config, "best.pt")["ema"]
@@ -196,7 +196,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
 
 
 def test_unequal_masks_in_the_two_process_test(tiny):
-    """What the test above relies on: its two halves of a batch differ in the number of grids that count."""
+    """A premise of the test above: its two halves of a batch differ in the number of grids that count."""
     config = tiny(batch=4, translation=0.5)
     counts = []
     for first in range(0, 8, 2):

@@ -28,24 +28,24 @@ class Posed:
 
     bones: list
     rotations: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
 
     def moved(self, bone, points):
         """Points (N, 3) of the frames of bones (N,) in the body's frame."""
-        return np.einsum("nij,nj->ni", self.rotations[bone], points) + self.places[bone]
+        return np.einsum("nij,nj->ni", self.rotations[bone], points) + self.positions[bone]
 
     def is_inside(self, points, but):
         """Which points (N, 3) lie inside a solid other than that of bone `but` (N,)."""
         inside = np.zeros(len(points), bool)
         for number, bone in enumerate(self.bones):
-            local = (points - self.places[number]) @ self.rotations[number]
+            local = (points - self.positions[number]) @ self.rotations[number]
             inside |= bone.solid.contains(local) & (but != number)
         return inside
 
     def landmarks(self):
-        """The places (K, 3) of all landmarks, and the bone (K,) of each."""
+        """The positions (K, 3) of all landmarks, and the bone (K,) of each."""
         bone = np.array([number for number, bone in enumerate(self.bones) for _ in bone.landmarks])
-        return self.moved(bone, np.array([place for bone in self.bones for place in bone.landmarks], float)), bone
+        return self.moved(bone, np.array([position for bone in self.bones for position in bone.landmarks], float)), bone
 
 
 def rotation_by(vector):
@@ -60,16 +60,18 @@ def rotation_by(vector):
 
 def posed(bones, angles):
     """The bones with joint rotations `angles` (B, 3), each from -1 to 1 in shares of the bone's swing."""
-    rotations, places = [], []
+    rotations, positions = [], []
     for bone, angle in zip(bones, angles, strict=True):
-        rotation, place = (np.eye(3), np.zeros(3)) if bone.parent < 0 else (rotations[bone.parent], places[bone.parent])
-        places.append(place + rotation @ np.asarray(bone.offset, float))
+        rotation, position = (
+            (np.eye(3), np.zeros(3)) if bone.parent < 0 else (rotations[bone.parent], positions[bone.parent])
+        )
+        positions.append(position + rotation @ np.asarray(bone.offset, float))
         rotations.append(rotation @ toward(bone.direction) @ rotation_by(angle * np.asarray(bone.swing)))
-    return Posed(bones, np.array(rotations), np.array(places))
+    return Posed(bones, np.array(rotations), np.array(positions))
 
 
 def surface_pair(first, second, number, rng):
-    """The same places of the surface on two bodies of a class: points (number, 3) on each, and the bone (number,) of each.
+    """The same points of the surface on two bodies of a class: points (number, 3) on each, and the bone (number,) of each.
 
     They are uniform over the area of the first body, without those that lie inside another solid in either body.
     """
@@ -93,7 +95,7 @@ def surface_pair(first, second, number, rng):
 def body_pair(name, points, seed, row):
     """Two bodies of a class in two poses and of slightly other proportions, aeroplanes of quite other ones.
 
-    The same `points` places on each, float32 (points, 3), the first of radius 1 about its mean, the second by the same scale.
+    The same `points` points of the surface on each, float32 (points, 3), the first of radius 1 about its mean, the second by the same scale.
     """
     rng = np.random.default_rng([seed, row, 0xB0D1])
     numbers = rng.random(NUM_PROPORTIONS)
@@ -115,8 +117,8 @@ def annotated(name, points, seed, row):
     bones = CLASSES[name](rng.random(NUM_PROPORTIONS))
     body = posed(bones, rng.uniform(-1, 1, (len(bones), 3)))
     cloud, _, bone = surface_pair(body, body, points, rng)
-    places, on = body.landmarks()
-    distance = np.where(bone == on[:, None], np.linalg.norm(cloud - places[:, None], axis=2), np.inf)
+    positions, on = body.landmarks()
+    distance = np.where(bone == on[:, None], np.linalg.norm(cloud - positions[:, None], axis=2), np.inf)
     center, diagonal = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, np.linalg.norm(np.ptp(cloud, axis=0))
     return ((cloud - center) / diagonal).astype(np.float32), distance.argmin(axis=1)
 

@@ -107,7 +107,7 @@ def sample(corners, entry, number):
 
 
 def difference(entry, corners, points):
-    """What tells the surface from that of the list; empty if nothing does."""
+    """The difference of the surface from that of the list; empty without one."""
     off = np.abs(spread(points) - np.array(entry.spread.split(","), float)).max()
     said = [] if len(corners) == int(entry.faces) else [f"{len(corners)} triangles, listed {entry.faces}"]
     return ", ".join([*said, f"spread off by {off:.3f}"] if off > MAX_SPREAD_DIFFERENCE else said)
@@ -146,7 +146,7 @@ def build(entries, clones, output):
 
 
 def summary(report):
-    """What was made and what not, as lines."""
+    """The objects that were made and those that were not, as lines."""
     made = [other for _, fault, other in report if not fault]
     yield f"{len(made)} of {len(report)} objects, {sum(not other for other in made)} with the surface of the list"
     absent = Counter(fault for _, fault, _ in report if fault.startswith("no clone of"))

@@ -123,7 +123,7 @@ def read(grid, queries, radius):
 
 
 def make_crop(rng):
-    """A crop as arrays, or None where the sensors see too little of the chosen place."""
+    """The crops of a made world as arrays, where the sensors see enough; at most four."""
     indoors = rng.random() < 0.5
     world, extent = room(rng) if indoors else street(rng)
     voxel = np.exp(rng.uniform(*np.log((0.03, 0.08) if indoors else (0.15, 0.4))))

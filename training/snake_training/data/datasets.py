@@ -225,7 +225,7 @@ def open_shapes(folder, split=""):
 
 
 def open_all(folders, splits):
-    """The shapes of folders, each with the list in the same place, if lists are given."""
+    """The shapes of folders, each with its list, if lists are given."""
     if splits and len(splits) != len(folders):
         raise ShapeError(f"{len(splits)} lists for {len(folders)} folders: give a list for each")
     return [open_shapes(folder, split) for folder, split in zip(folders, splits or [""] * len(folders))]

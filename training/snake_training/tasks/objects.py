@@ -105,7 +105,7 @@ def start_saliency(network, shapes=6, steps=400):
     """A new saliency decoder that knows the corners and tips of so many made boxes, nuts and animals, also of noisy and thin views.
 
     The losses do not say where the peaks are to lie, only that both views agree and that there are some everywhere. They keep
-    the places that they find, if the encoder has learnt by all of them before; a decoder drawn at random ends some voxels from
+    the positions that they find, if the encoder has learnt by all of them before; a decoder drawn at random ends some voxels from
     every edge. SuperPoint (DeTone et al. 2018) begins at the corners of made shapes as well.
     """
     device = next(network.parameters()).device

@@ -83,7 +83,7 @@ class Scenes:
 
     @torch.no_grad()
     def teacher_log_odds(self, batch):
-        """What the teacher says of the clean surface at the queries: (B, Q)."""
+        """The teacher's log-odds (B, Q) for the clean surface at the queries."""
         queries = batch["surface_queries"]
         autocast = self.settings.bf16 and has_fast_unet(queries.device, self.teacher.config)
         points, owner = batch["surface_points"], batch["surface_owner"]
@@ -140,22 +140,22 @@ def sample_of(crop, settings, rng):
     """The arrays of a crop that `Scenes.batch` joins; None if a box holds too little. The views are turned and moved each by
     itself and cut to a box."""
     placements = [Placement(settings, rng) for _ in range(2)]
-    points = [place.cut(shown(crop[f"points_{view}"], rng)) for view, place in enumerate(placements)]
-    sides = [(place(crop[f"solid_{view}"]), place(crop["free"])) for view, place in enumerate(placements)]
-    drawings = [[drawn(side, place, settings, rng) for side in both] for both, place in zip(sides, placements)]
+    points = [placement.cut(shown(crop[f"points_{view}"], rng)) for view, placement in enumerate(placements)]
+    sides = [(placement(crop[f"solid_{view}"]), placement(crop["free"])) for view, placement in enumerate(placements)]
+    drawings = [[drawn(side, placement, settings, rng) for side in both] for both, placement in zip(sides, placements)]
     if min(map(len, points)) < 20 or any(some is None for both in drawings for some in both):
         return None
     surface = np.stack([np.concatenate(both) for both in drawings])
     boxes = placements if settings.num_grids else [*placements, Placement(settings, rng)]
-    placed = np.stack([place(crop["queries"]) for place in boxes])
-    rows = np.flatnonzero(np.all([place.inside(at, 1.0) for place, at in zip(boxes, placed)], axis=0))
+    placed = np.stack([placement(crop["queries"]) for placement in boxes])
+    rows = np.flatnonzero(np.all([placement.inside(at, 1.0) for placement, at in zip(boxes, placed)], axis=0))
     if len(rows) < 50:
         return None
     if settings.num_grids:  # the crop's queries lie near what both sensors saw
         grid = local_grid(settings.grid_size, GRID_SIDE)
         centers = crop["queries"][rows[rng.integers(len(rows), size=settings.num_grids)]]
-        grids = np.stack([place((centers[:, None] + grid).reshape(-1, 3)) for place in placements])
-        inside = np.stack([place.inside(at, 0.5) for place, at in zip(placements, grids)])
+        grids = np.stack([placement((centers[:, None] + grid).reshape(-1, 3)) for placement in placements])
+        inside = np.stack([placement.inside(at, 0.5) for placement, at in zip(placements, grids)])
         inside = inside.reshape(2, settings.num_grids, -1)
         return {"points": points, "queries": np.concatenate([surface, grids], axis=1), "inside": inside}
     rows = rows[rng.integers(len(rows), size=settings.queries)]
@@ -168,9 +168,9 @@ def sample_of(crop, settings, rng):
     }  # fmt: skip
 
 
-def drawn(queries, place, settings, rng):
+def drawn(queries, placement, settings, rng):
     """Draws `num_occupancy` of the placed queries within the box, with repetition; None if the box has none."""
-    within = queries[place.inside(queries, 0.5)]
+    within = queries[placement.inside(queries, 0.5)]
     return within[rng.integers(len(within), size=settings.num_occupancy)] if len(within) else None
 
 
