@@ -55,7 +55,7 @@ def test_every_command_names_the_crate_and_the_features_of_its_example(command):
     assert (required and required[1]) == features
 
 
-# Those of snake-interop are run by its own test `examples`, in `make check`.
+# The test `examples` of snake-interop runs its examples, in `make check`.
 @pytest.mark.parametrize("command", [command for command in COMMANDS if "snake-interop" not in command])
 def test_every_example_runs(command, examples, tmp_path):
     name = name_of(command)

@@ -45,7 +45,7 @@ PRIORS = {
 
 
 def counts(pairs, limit, prior):
-    """Of the pairs: those that are right, within a limit (metres) and 5 degrees, and those of them that are reliable."""
+    """The numbers of pairs that are right, within a limit (metres) and 5 degrees, and of right pairs that are reliable."""
     right = reliable = 0
     for source, target, truth in pairs:
         result = snake_rs.register(source, target, **prior)

@@ -121,7 +121,7 @@ def test_command_runs(command, compiled, folder):
 
 
 def test_commands_of_the_readme_run_as_they_stand(compiled, tmp_path):
-    """In a fresh clone, one after another, without any file that the repository lacks."""
+    """They run one after another, with the files of a fresh clone alone."""
     tracked = subprocess.run(["git", "ls-files", "samples"], cwd=ROOT, capture_output=True, text=True, check=True)
     for name in tracked.stdout.split():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

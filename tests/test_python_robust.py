@@ -71,7 +71,7 @@ def test_keypoints_are_on_the_scene_below_its_sky_and_floaters(kind):
     with pytest.warns(UserWarning, match="sky, floaters or other outliers, left out"):
         found = snake_rs.detect(dirty, "compact")
     distances = np.linalg.norm(found.points[:, None] - clean[None], axis=2).min(axis=1)
-    # Of a power law many floaters lie next to the scene, and stay: they draw most keypoints of `compact` (its card says so).
+    # Many floaters of a power law lie next to the scene, and stay: they draw most keypoints of `compact` (its card says so).
     assert len(found) > 10 and (distances < 0.05).mean() > (0.1 if kind == "power law" else 0.9)
 
 
@@ -173,7 +173,7 @@ def test_a_georeferenced_cloud_with_missing_returns_at_zero_keeps_its_digits():
 
 
 def test_large_numbers_are_refused_or_work(tmp_path):
-    """In a process of its own with 6 GB, which an abort would end."""
+    """The call runs in a process of its own with 6 GB, which an abort would end."""
     code = """
 import resource
 import numpy as np

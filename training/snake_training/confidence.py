@@ -42,7 +42,7 @@ def of_objects(model, shapes, number, points, rotations):
 
 
 def of_pairs(model, folder, number):
-    """The same of pairs of scenes, a folder with `pairs.json`."""
+    """The same list for pairs of scenes, from a folder with `pairs.json`."""
     listed, clouds, rows = json.loads((folder / "pairs.json").read_text()), {}, []
 
     def cloud(name):

@@ -13,7 +13,7 @@ from .data.sensors import write_drives, write_frames
 FOLDER = {"-o": dict(dest="folder", required=True, metavar="FOLDER", help="folder to write")}
 SEED = {"--seed": option(1, "of the first; the others follow")}
 
-# Of each kind of data: the function that makes it, a sentence, and the arguments of the function.
+# The function that makes each kind of data, a sentence, and the function's arguments.
 KINDS = {
     "crops": (
         write_crops, "Crops of made rooms and streets as two sensors see them, to train a network of scenes.",

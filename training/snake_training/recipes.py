@@ -71,7 +71,7 @@ class Stage:
 
     @classmethod
     def read(cls, table):
-        """A stage from its table of TOML; what it does not know is a ValueError."""
+        """A stage from its table of TOML; an unknown key is a ValueError."""
         own = {field.name for field in dataclasses.fields(cls)} - {"settings"}
         mine = {key: value for key, value in table.items() if key in own or not cls.SETTINGS}
         if cls.SETTINGS:
@@ -85,7 +85,7 @@ class Stage:
         return from_table(cls.SETTINGS, table)
 
     def uses(self):
-        """The names of the stages before it that it needs."""
+        """The names of the earlier stages that it needs."""
         named = (getattr(self, key) for key in self.USES)
         return [name for some in named for name in ([some] if isinstance(some, str) else some) if name]
 
@@ -114,7 +114,7 @@ class ObjectStage(Stage):
         return replace(stage, settings=config, given=tuple(name for name in NETWORK_SHAPE if name in settings))
 
     def run(self, recipe, folder):
-        """From its checkpoint if it has one."""
+        """Trains, from the checkpoint if there is one."""
         moved = folder / Moved.NAME
         init = moved if moved.exists() else recipe.weights(self.init) if self.init else ""
         config = replace(
@@ -162,7 +162,7 @@ class CropStage(Stage):
             )
 
     def run(self, recipe, folder):
-        """Files that are there stay."""
+        """Writes the files that are not there yet."""
         seeds = [first + part for first, number in self.files for part in range(number)]
         for seed in seeds[:1] if recipe.smoke else seeds:
             path = folder / f"{seed:05d}.npz"
@@ -187,7 +187,7 @@ class SceneStage(Stage):
         return check(from_table(SceneTraining, table))
 
     def run(self, recipe, folder):
-        """From its checkpoint if it has one."""
+        """Trains, from the checkpoint if there is one."""
         settings = replace(self.settings, **SMOKE_SCENES) if recipe.smoke else self.settings
         init, teacher = (name and load_network(recipe.weights(name)) for name in (self.init, self.teacher))
         recipe.train(Scenes(settings, Crops(recipe.run_dir / self.crops), init or None, teacher or None), folder)
@@ -195,8 +195,7 @@ class SceneStage(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class ExportStage(Stage):
-    """The weight file in float16, read back once. The digest that a recipe states is compared with the file's; it does not say
-    how the released file was made."""
+    """The weight file in float16, read back once. Its digest is compared with the one that the recipe states."""
 
     USES = ("of",)
     of: str
@@ -205,7 +204,7 @@ class ExportStage(Stage):
     metadata: dict = dataclasses.field(default_factory=dict)
 
     def run(self, recipe, folder):
-        """Says whether it is the released file, if the recipe states that one's digest."""
+        """Writes the file, and says whether it is the released one, if the recipe states that one's digest."""
         path = recipe.run_dir / self.output
         network = load_network(recipe.weights(self.of))
         write_weights(path, network.config, weights_of(network), torch.float16, self.metadata)
@@ -289,7 +288,7 @@ KINDS = {
 
 
 class Recipe:
-    """A recipe's stages and the folder of their results. What cannot run is a ValueError before anything does.
+    """A recipe's stages and the folder of their results. A recipe that cannot run is a ValueError before anything does.
 
     device, minutes, workers are those of `train.run`; the minutes are of all stages together.
     """
@@ -355,7 +354,7 @@ class Recipe:
             self.log(f"{stage.name}: {seconds} s")
 
     def unneeded(self):
-        """The names of the stages whose results no stage reads any more, on another machine either, where only training moves."""
+        """The names of the stages whose results no stage reads any more, also not on another machine, where only training moves."""
         names = set()
         for name in reversed(self.stages):
             readers = [stage for stage in self.stages.values() if name in stage.uses()]
@@ -364,12 +363,12 @@ class Recipe:
         return names
 
     def has_read(self, stage, name):
-        """Whether a training stage needs another one no more: it is done, or has weights of its own and that was its start."""
+        """Whether a training stage no longer needs another one: it is done, or has weights of its own and began with that one's."""
         has = [(self.run_dir / stage.name / file).exists() for file in ("done.json", "last.pt", Moved.NAME)]
         return isinstance(stage, ObjectStage | SceneStage) and (has[0] or (stage.init == name and any(has)))
 
     def in_time(self, name):
-        """The minutes that are left, 0 if there is no limit; a TimeSpent if none is."""
+        """The minutes that are left, 0 without a limit. Raises TimeSpent if none are left."""
         left = 0.0 if self.deadline is None else (self.deadline - time.monotonic()) / 60
         if self.deadline is not None and left <= 0:
             raise TimeSpent(f"the minutes are over before {name} is done; the same command goes on")

@@ -71,7 +71,7 @@ def torch_teacher(network):
 
 
 def snake_rs_teacher(weights):
-    """The same by snake-rs, for weight files on a CPU."""
+    """A teacher by snake-rs, for weight files on a CPU."""
     import snake_rs
 
     model = snake_rs.Model.load(weights)

@@ -183,7 +183,7 @@ def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
 
 
 def test_views_have_as_many_distinct_points_as_the_released_codes(tiny):
-    """Of 5000 drawn from 8192 points it has 3740 in the first view and 1898 in the second, on average over the rates."""
+    """It has 3740 of 5000 drawn from 8192 points in the first view and 1898 in the second, on average over the rates."""
     config = tiny(num_points=5000, max_downsampling=4.0, jitter_sigma=0.0)
     points = [two_views(cloud(8192), config, rng(seed))["points"] for seed in range(30)]
     distinct = np.mean([[len(np.unique(view, axis=0)) for view in views] for views in points], axis=0)
@@ -221,7 +221,7 @@ def released_second_view(points, draws):
 
 
 def test_the_second_view_of_a_room_is_cut_between_shift_and_recentring(tiny):
-    """As the released code cuts 3DMatch's: else the shift of up to 0.3 would cancel, and both views would see the same."""
+    """The released code cuts 3DMatch's so: else the shift of up to 0.3 would cancel, and both views would see the same."""
     given = dict(translation=0.3, recenter=True, normalization="unit-cube", rotation="euler", jitter_sigma=0.0)
     config = tiny(num_points=2000, max_downsampling=1.0, with_replacement=False, **given)
     points, shares = room(2000), []

@@ -131,7 +131,7 @@ def test_scenes_learn_by_the_four_losses_too(run_dir):
 
 
 def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, capsys, monkeypatch):
-    """As on a GPU that is there for ten minutes: the weights come back in pieces, and another machine takes them up."""
+    """A GPU may be there for ten minutes: the weights come back in pieces, and another machine takes them up."""
     monkeypatch.setattr(moving, "PIECE", 100_000)
     words = [str(RECIPES / "compact.toml"), "--smoke", "--device", "cpu"]
     here, there, pieces = tmp_path / "here", tmp_path / "there", tmp_path / "pieces"

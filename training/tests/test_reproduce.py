@@ -43,7 +43,7 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_page_runs(folder, snake_cli, command, monkeypatch, capsys):
-    """In the order of the page, in one folder of runs: networks are trained once. The tables have figures of both."""
+    """The commands run in the order of the page, in one folder of runs: networks are trained once. The tables have figures of both."""
     words = shlex.split(command)
     assert words[:2] == ["python", "-m"]
     if words[2] == "snake_training.paper":

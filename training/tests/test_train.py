@@ -186,7 +186,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
     assert first.keys() == second.keys()
     for path, value in first.items():
         if isinstance(value, torch.Tensor):
-            # Of weights that start at zero, Adam's epsilon shows in the first steps where gradients are tiny.
+            # Weights that start at zero show Adam's epsilon in the first steps, where gradients are tiny.
             share = 1e-4 if path.startswith("/optimizer") else 3e-3
             tolerance = share * value.abs().max().item() + 1e-9
             assert (value - second[path]).abs().max().item() <= tolerance, path

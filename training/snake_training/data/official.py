@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 CLOUDS = ".npy", ".ply", ".pcd"
-# Of the layouts of evaluation: arrays that are no clouds.
+# Arrays of the layouts of evaluation that are no clouds.
 NO_CLOUDS = {"transform.npy", "pose_test_100.npy", "beta_test_100.npy"}
 
 

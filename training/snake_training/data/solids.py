@@ -53,19 +53,19 @@ class Solids:
         return Solids(row for row, keep in zip(self.rows, mask, strict=True) if keep)
 
     def later(self, shift):
-        """The same solids after those that move have moved by `shift` metres along x."""
+        """The solids after the moving ones have gone `shift` metres along x."""
         return Solids(
             (kind, center + (shift, 0, 0) if moving else center, axes, fuzz, moving)
             for kind, center, axes, fuzz, moving in self.rows
         )
 
     def about(self, center, radius):
-        """Those solids that may come within `radius` of `center`."""
+        """The solids that may come within `radius` of `center`."""
         _, middle, axes, _, _ = self.arrays()
         return self.chosen(np.linalg.norm(middle - center, axis=1) <= np.linalg.norm(axes, axis=(1, 2)) + radius)
 
     def toward(self, eyes, center, radius):
-        """Those solids that may hide or hold something within `radius` of `center` from the `eyes` (E, 3)."""
+        """The solids that may hide or hold something within `radius` of `center` from the `eyes` (E, 3)."""
         _, middle, axes, _, _ = self.arrays()
         size = np.linalg.norm(axes, axis=(1, 2))
         span = center - eyes
@@ -172,7 +172,7 @@ def sample(kind, middle, axes, center, radius, density, rng):
         return np.empty((0, 3))
     local = []
     if kind == BALL:
-        # Of an ellipsoid a share that follows the stretch of the area.
+        # Points of the sphere are kept by the stretch of the area there.
         number = int(4 * np.pi * half.prod() / half.min() * density)
         p = rng.standard_normal((number, 3))
         p /= np.linalg.norm(p, axis=1, keepdims=True)
