@@ -45,8 +45,8 @@ from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data import Procedural, open_shapes, write_corpus
 from .data.crops import Crops, write_part
 from .data.sensors import write_drives, write_frames
-from .export import Moved, load_network, replacing, weights_of, write_weights
 from .device import choose_device
+from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
 from .teacher import TeacherSettings, make_targets, scales_of

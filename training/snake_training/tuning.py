@@ -4,6 +4,7 @@ import json
 import statistics
 import sys
 from functools import partial
+from subprocess import SubprocessError
 
 import torch
 import torch.nn.functional as F
@@ -97,7 +98,7 @@ class Tuner:
         try:
             with torch.autocast(device.type, torch.bfloat16, enabled=self.autocast):
                 self.unet(volumes.requires_grad_()).float().sum().backward()
-        except Exception as error:  # of a compiler that the machine lacks, or of memory
+        except (RuntimeError, OSError, ImportError, SubprocessError) as error:  # no compiler, or no memory
             print(f"{name}: {error}", file=sys.stderr)
             TRIALS[name](self.unet, False)
             return False
