@@ -60,7 +60,7 @@ impl Field {
         })
     }
 
-    /// What was left out because it lies far beyond all others.
+    /// The outliers of the cloud, which were left out, in words.
     pub fn outliers(&self) -> Option<String> {
         self.core.outliers().map(|outliers| outliers.to_string())
     }

@@ -114,7 +114,7 @@ impl<'a> Figures<'a> {
 }
 
 /// The report of the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
-/// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+/// condition belong to several models. The tables also show the paper's rows, and the JSON has the settings.
 ///
 /// # Panics
 /// When there are no pairs, or when two pairs have rows for different methods or conditions.
