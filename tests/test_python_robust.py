@@ -103,6 +103,21 @@ def test_outliers_in_either_cloud_change_no_transform(outliers):
     assert np.array_equal(both.t_target_source, expected.t_target_source)
 
 
+@pytest.mark.parametrize("place", ["0 0 0", "one depth"])
+def test_missing_returns_are_left_out_alike_by_detection_and_registration(place):
+    clean = bowl() + [6, 1, 0]
+    rows = {"0 0 0": np.zeros((5000, 3)), "one depth": np.c_[bowl(seed=2)[:, :2] * 40, np.full(5000, 65.535)]}[place]
+    dirty = np.stack([clean, rows], axis=1).reshape(-1, 3)
+    with pytest.warns(UserWarning, match="^5000 of 10000 points .50 %. are .*left out"):
+        found = snake_rs.detect(dirty)
+    expected = snake_rs.detect(clean)
+    assert np.array_equal(found.points, expected.points) and found.num_skipped == 5000
+    assert np.array_equal(dirty[found.nearest_index], clean[expected.nearest_index])
+    registered = [snake_rs.register(source, bowl(seed=1)) for source in (clean, dirty)]
+    assert np.array_equal(registered[0].t_target_source, registered[1].t_target_source)
+    assert any(note.startswith("source: 5000 of 10000 points") for note in registered[1].verdict.notes)
+
+
 @pytest.mark.parametrize("name", ["iss", "harris3d", "sift3d", "surface_variation"])
 @pytest.mark.parametrize("repeated", [1, 0.6, 0.01])
 def test_repeated_points_count_once(name, repeated):

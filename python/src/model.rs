@@ -212,7 +212,7 @@ impl Model {
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
         let field = Field::new(slf, named, &cloud, preset.encode, precision)?;
-        field.outliers().map_or(Ok(()), |text| warn(slf.py(), &text))?;
+        field.findings().iter().try_for_each(|text| warn(slf.py(), text))?;
         Ok(field)
     }
 

@@ -6,7 +6,6 @@ use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use snake_core::zero_hint;
 use snake_io::{self as io, Attributes, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::patterns::{each_once, matching};
@@ -87,15 +86,6 @@ impl InputArguments {
         self.read_contents(path, seed).map(|contents| contents.cloud)
     }
 
-    /// [`InputArguments::read`] with everything else that the file says. Prints a hint of missing returns.
-    pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
-        let contents = self.read_without_hint(path, seed)?;
-        if let Some(hint) = missing_returns(&contents) {
-            terminal::hint(&format!("{}: {hint}", path.display()));
-        }
-        Ok(contents)
-    }
-
     /// The colours, intensity and normals of a cloud that was read from a file, for a copy of it. Samples of a mesh and the
     /// standard input have none.
     pub fn read_attributes(&self, path: &Path, cloud: &Cloud) -> Result<Attributes> {
@@ -108,8 +98,8 @@ impl InputArguments {
         Ok(attributes)
     }
 
-    /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.
-    pub fn read_without_hint(&self, path: &Path, seed: u64) -> Result<Contents> {
+    /// [`InputArguments::read`] with what else the file says.
+    pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.contents(path, seed)?;
         let Contents { cloud, unsampled_faces, dominant_face, .. } = &contents;
         if *unsampled_faces > 0 {
@@ -155,11 +145,6 @@ impl InputArguments {
             None => Ok(io::read_contents(path, &options)?),
         }
     }
-}
-
-/// A hint for a cloud with missing returns. The vertices of a mesh may share a corner at zero.
-pub fn missing_returns(contents: &Contents) -> Option<String> {
-    if contents.unsampled_faces > 0 { None } else { zero_hint(&contents.cloud) }
 }
 
 /// The offset that a reader has to add to the coordinates of a written file. It is zero if the format holds full

@@ -59,7 +59,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     bar.suspend(|| {
         detail_of(&chosen);
         terminal::hints(&name, &chosen.note);
-        terminal::hint_outliers(&name, &field);
+        terminal::hint_findings(&name, &field);
     });
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;

@@ -191,11 +191,9 @@ pub fn hints<'a>(name: &str, hints: impl IntoIterator<Item = &'a String>) {
     hints.into_iter().for_each(|text| hint(&format!("{name}: {text}")));
 }
 
-/// Names the outliers of a cloud, which its field leaves out, if there are any.
-pub fn hint_outliers(name: &str, field: &Field) {
-    if let Some(outliers) = field.outliers() {
-        hint(&format!("{name}: {outliers}"));
-    }
+/// Names what is wrong with a cloud, which its field leaves out.
+pub fn hint_findings(name: &str, field: &Field) {
+    hints(name, &field.findings());
 }
 
 /// Prints a line about `topic` with `--verbose`.

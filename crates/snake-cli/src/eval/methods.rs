@@ -205,7 +205,9 @@ impl Method {
             Spacing::Own => (),
             Spacing::Radius(radius) => options.nms_radius = none_if_zero(radius),
             // All candidates are suppressed afterwards.
-            Spacing::Coverage => (options.nms_radius, options.max_keypoints) = (None, usize::MAX),
+            Spacing::Coverage => {
+                (options.nms_radius, options.max_keypoints, options.min_confidence) = (None, usize::MAX, None)
+            }
         }
     }
 

@@ -10,7 +10,10 @@ use snake_eval::reports::Sample;
 use snake_eval::reports::repeatability::{Row, Sweeps, report};
 use snake_eval::tables::paper;
 use snake_eval::views::{Condition, PairClouds, Views};
-use snake_eval::{Meeting, RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
+use snake_eval::{
+    Meeting, RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability,
+    repeatability_beyond_chance, share_on_flat_places,
+};
 use snake_io as io;
 
 use super::args::RepeatabilityArguments;
@@ -112,6 +115,9 @@ fn meeting(data: &ViewPairs, columns: &ColumnArguments, pair: usize) -> Result<O
         }
     }
 }
+
+/// The neighbourhood that tells whether a keypoint stands on a flat place, in multiples of the tables' epsilon.
+const FLAT_RADIUS: f64 = 1.5;
 
 /// The suppression radius for each condition and method, in units of the data set; `None` for the method's own.
 type Radii = Vec<Vec<Option<f64>>>;
@@ -241,6 +247,9 @@ impl Plan {
                 let models = count_models(&ranked);
                 let [first, second] = ranked.map(|ranked| ranked.positions);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
+                let beyond_chance =
+                    repeatability_beyond_chance(&first, &second, &view_2, &t_1_2, &self.sweeps.epsilon)?;
+                let flat = share_on_flat_places(&view_1, &first, FLAT_RADIUS * self.sweeps.table_epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
                 let keypoints = first.len();
                 rows.push(Row {
@@ -250,6 +259,8 @@ impl Plan {
                     keypoints,
                     coverage,
                     repeatability,
+                    beyond_chance,
+                    flat,
                 });
             }
         }

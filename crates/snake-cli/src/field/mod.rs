@@ -39,7 +39,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     let field = chosen.encode(&control).with_context(|| name.clone())?;
     bar.finish();
     terminal::hints(&name, &chosen.note);
-    terminal::hint_outliers(&name, &field);
+    terminal::hint_findings(&name, &field);
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,

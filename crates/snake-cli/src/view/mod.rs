@@ -46,7 +46,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let mut add = |input: &PathBuf, chosen: &Chosen| -> Result<()> {
         bar.set_message(name(input));
         let shown = ShownCloud::detect(chosen, name(input), &control).with_context(|| name(input))?;
-        bar.suspend(|| terminal::hint_outliers(&shown.name, &shown.field));
+        bar.suspend(|| terminal::hint_findings(&shown.name, &shown.field));
         clouds.push(shown);
         Ok(())
     };

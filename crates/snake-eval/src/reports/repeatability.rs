@@ -25,6 +25,10 @@ pub struct Row {
     pub coverage: Option<f64>,
     /// Relative repeatability for each epsilon.
     pub repeatability: Vec<f64>,
+    /// Repeatability beyond chance for each epsilon, of the keypoints that view 2 sees; `None` where it sees none.
+    pub beyond_chance: Vec<Option<f64>>,
+    /// The share of keypoints on flat places; `None` without keypoints.
+    pub flat: Option<f64>,
 }
 
 /// The thresholds and conditions of an evaluation.
@@ -86,12 +90,18 @@ impl<'a> Figures<'a> {
         let Row { method, condition, repeatability, .. } = runs[0][0];
         let all = || runs.iter().flatten();
         let keypoints: Vec<f64> = all().map(|row| row.keypoints as f64).collect();
-        let coverage: Vec<f64> = all().filter_map(|row| row.coverage).collect();
-        let statistic = |i: usize| {
-            let run_shares = |rows: &Vec<&Row>| rows.iter().map(|row| row.repeatability[i]).collect::<Vec<f64>>();
+        let mean_of = |figure: fn(&Row) -> Option<f64>| {
+            let figures: Vec<f64> = all().filter_map(|row| figure(row)).collect();
+            (!figures.is_empty()).then(|| mean(&figures))
+        };
+        let statistic = |share: &dyn Fn(&Row) -> Option<f64>| {
+            let run_shares = |rows: &Vec<&Row>| rows.iter().filter_map(|row| share(row)).collect::<Vec<f64>>();
             let means: Vec<f64> = runs.iter().map(|rows| mean(&run_shares(rows))).collect();
             Statistic::over_seeds(&means, &run_shares(&runs[0]))
         };
+        let epsilons = 0..repeatability.len();
+        let found = epsilons.clone().map(|i| statistic(&|row| Some(row.repeatability[i]))).collect();
+        let beyond_chance = epsilons.map(|i| statistic(&|row| row.beyond_chance[i])).collect();
         let summary = Summary {
             title: named_with_models(method, all().map(|row| &row.models)),
             keys: vec![
@@ -99,10 +109,14 @@ impl<'a> Figures<'a> {
                 ("downsample", condition.downsample.into()),
                 ("noise", condition.noise.into()),
             ],
-            swept: vec![(["repeatability", "deviation"], (0..repeatability.len()).map(statistic).collect())],
+            swept: vec![
+                (["repeatability", "deviation"], found),
+                (["beyond_chance", "deviation_beyond_chance"], beyond_chance),
+            ],
             means: vec![
                 ("keypoints", Some(mean(&keypoints))),
-                ("coverage", (!coverage.is_empty()).then(|| mean(&coverage))),
+                ("coverage", mean_of(|row| row.coverage)),
+                ("flat", mean_of(|row| row.flat)),
             ],
         };
         Self { condition: *condition, runs, summary }
@@ -110,6 +124,10 @@ impl<'a> Figures<'a> {
 
     fn repeatability(&self) -> &[Statistic] {
         &self.summary.swept[0].1
+    }
+
+    fn beyond_chance(&self) -> &[Statistic] {
+        &self.summary.swept[1].1
     }
 }
 
@@ -129,7 +147,7 @@ pub fn report(
     let figures: Vec<Figures> = groups.iter().map(|group| Figures::new(rows_by_run(runs, group))).collect();
     let deviation = deviation_name(runs.len(), num_models(&groups), "pairs");
     let title = format!("Relative repeatability, mean over {} pairs ± {deviation}", runs[0].len());
-    let mut charts = vec![over_epsilon(title, sweeps, &figures, paper)];
+    let mut charts = vec![over_epsilon(title, sweeps, &figures, paper), beyond_chance(sweeps, &figures)];
     charts.extend(SWEEPS.iter().filter_map(|sweep| over_sweep(sweep, sweeps, &figures, paper)));
     let summaries: Vec<&Summary> = figures.iter().map(|figures| &figures.summary).collect();
     let csv = csv(("epsilon", &sweeps.epsilon), &summaries, Some(runs[0].len()));
@@ -160,6 +178,24 @@ fn over_epsilon(
         others: &["keypoints", "coverage"],
         series: under(figures, sweeps.conditions[0]).map(series).collect(),
         paper: paper.map(|paper| &paper.epsilon),
+    }
+}
+
+/// The clean views over epsilon, of the keypoints that the other view sees.
+fn beyond_chance(sweeps: &Sweeps, figures: &[Figures]) -> Chart {
+    let series = |figures: &Figures| {
+        let Summary { title, means, .. } = &figures.summary;
+        let mut series = Series::new(title.clone(), figures.summary.method(), figures.beyond_chance().iter());
+        series.cells.push(means[2].1.map_or("-".into(), |flat| format!("{flat:.3}")));
+        series
+    };
+    Chart {
+        title: "Beyond chance: 0 is the share that random points of the other view would find".into(),
+        first: "method",
+        axis: Axis { label: None, prefix: "beyond ε ", values: sweeps.epsilon.clone(), x: |epsilon| epsilon },
+        others: &["on flat places"],
+        series: under(figures, sweeps.conditions[0]).map(series).collect(),
+        paper: None,
     }
 }
 
@@ -215,7 +251,9 @@ mod tests {
     fn row(condition: Condition, keypoints: usize, repeatability: [f64; 2]) -> Row {
         let coverage = (keypoints > 0).then_some(0.25);
         let (method, models) = ("iss".into(), Models::new());
-        Row { method, models, condition, keypoints, coverage, repeatability: repeatability.into() }
+        let beyond_chance = repeatability.map(|share| (keypoints > 0).then_some(share - 0.25)).into();
+        let flat = (keypoints > 0).then_some(0.125);
+        Row { method, models, condition, keypoints, coverage, repeatability: repeatability.into(), beyond_chance, flat }
     }
 
     #[test]
@@ -234,6 +272,12 @@ mod tests {
 |---|---|---|---|---|
 | iss | 0.375 ±0.177 | 1.000 ±0.000 | 6.0 | 0.2500 |
 
+Beyond chance: 0 is the share that random points of the other view would find:
+
+| method | beyond ε 0.1 | beyond ε 0.2 | on flat places |
+|---|---|---|---|
+| iss | 0.125 ±0.177 | 0.750 ±0.000 | 0.125 |
+
 At ε 0.2, over noise:
 
 | method | σ 0 | σ 0.1 |
@@ -242,14 +286,16 @@ At ε 0.2, over noise:
 ";
         assert_eq!(tables::markdown(&report.charts), markdown);
         let csv = &report.csv;
-        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,6,0.25,2");
+        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,0.125,0.1767766952966369,6,0.25,0.125,2");
         assert_eq!(csv.lines().count(), 5);
         let json: Value = serde_json::from_str(&report.json).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
         assert_eq!((json["rows"].as_array().unwrap().len(), &json["settings"]), (2, &settings));
         assert!(tables::text_lines(&report.charts).join("\n").contains("iss             0.375 ±0.177"));
         let tick = |chart: &Chart| ((chart.axis.x)(chart.axis.values[1]), chart.axis.label.clone().unwrap());
-        let curves: Vec<_> = report.charts.iter().map(|chart| (tick(chart), chart.series[0].curve.clone())).collect();
+        let drawn = report.charts.iter().filter(|chart| chart.axis.label.is_some());
+        let curves: Vec<_> = drawn.map(|chart| (tick(chart), chart.series[0].curve.clone())).collect();
+        assert!(csv.contains("iss,1,0.1,0.2,0.25,0.3535533905932738,0.25,,1,0.25,0.125,2"), "{csv}");
         let expected = [
             ((0.2, "ε".to_owned()), vec![Some(0.375), Some(1.0)]),
             ((0.1, "noise σ (ε 0.2)".to_owned()), vec![Some(1.0), Some(0.25)]),
