@@ -286,7 +286,10 @@ At ε 0.2, over noise:
 ";
         assert_eq!(tables::markdown(&report.charts), markdown);
         let csv = &report.csv;
-        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,0.125,0.1767766952966369,6,0.25,0.125,2");
+        assert_eq!(
+            csv.lines().nth(1).unwrap(),
+            "iss,1,0,0.1,0.375,0.1767766952966369,0.125,0.1767766952966369,6,0.25,0.125,2"
+        );
         assert_eq!(csv.lines().count(), 5);
         let json: Value = serde_json::from_str(&report.json).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));
