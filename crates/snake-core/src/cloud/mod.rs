@@ -1,4 +1,4 @@
-//! A cloud as it is used: its finite points without outliers and missing returns, and what is measured of it, each once.
+//! The used points of a cloud, finite and without outliers and missing returns, and its measures, each taken once.
 
 mod coordinate_step;
 mod haze;
