@@ -64,8 +64,8 @@ def test_every_example_runs(command, examples, tmp_path):
         "mcap_replay": ["tests/data/io/drive.mcap", str(tmp_path / "keypoints.mcap")],
     }
     if name == "tracks":
-        pytest.importorskip("snake_training.data.drives", reason="pip install ./training").main(
-            ["-o", str(tmp_path), "--drives", "1", "--sweeps", "3", "--step", "1"]
+        pytest.importorskip("snake_training.make", reason="pip install ./training").main(
+            ["drives", "-o", str(tmp_path), "--drives", "1", "--sweeps", "3", "--step", "1"]
         )
         arguments["tracks"] = [str(tmp_path)]
     # The command line has the feature mcap, so that its example is compiled with the others.

@@ -11,7 +11,7 @@ from verdict_pairs import camera, lidar
 
 from snake_training.data.solids import CUBE, CYLINDER, Solids, about_axis
 
-HELD_OUT = ("trees", "rotunda", "stadium", "terrace", "station", "forest")
+HELD_OUT = ("trees", "rotunda", "stadium", "terrace", "station", "forest", "bridge", "desks", "lobby", "silo", "carriage")
 
 
 class AlikePair(NamedTuple):
@@ -442,10 +442,85 @@ def still(rng) -> AlikePair:
     return between(worlds, [t, t], rays, rng, 0.01, 60.0)
 
 
+def bridge(rng) -> AlikePair:
+    """A deck between two trusses of equal bays, over water that returns nothing."""
+    world, bay, high = Solids(), rng.uniform(4, 7), rng.uniform(4, 6)
+    box(world, [0, 0, -0.2], [160, 8, 0.4])
+    for side in (-4.2, 4.2):
+        box(world, [0, side, high], [160, 0.3, 0.3])
+        for k in range(-12, 13):
+            box(world, [bay * k, side, high / 2], [0.3, 0.3, high])
+            length, lean = np.hypot(bay, high), np.arctan2(high, bay) * (-1) ** k
+            box(world, [bay * (k + 0.5), side, high / 2], [length, 0.2, 0.2], about_axis(1, -lean))
+    poses = [pose([0, 0, 1.8]), pose([rng.uniform(0.6, 2.4) * bay, rng.uniform(-1, 1), 1.8], rng.uniform(-20, 20))]
+    return twice(world, poses, lidar(32, 700, -25, 25), rng, 0.015, 50.0, metres=0.6)
+
+
+def desks(rng) -> AlikePair:
+    """A hall with a grid of equal desks and chairs."""
+    world, size, step = Solids(), [rng.uniform(12, 16), rng.uniform(9, 12), 3.0], rng.uniform([1.8, 1.5], [2.4, 2.0])
+    hall(world, [0, 0, 0], size)
+    for x in np.arange(1.5, size[0] - 1, step[0]):
+        for y in np.arange(1.2, size[1] - 1, step[1]):
+            box(world, [x, y, 0.72], [0.7, 1.2, 0.05])
+            box(world, [x - 0.3, y, 0.36], [0.05, 1.1, 0.7])
+            box(world, [x + 0.7, y, 0.45], [0.42, 0.42, 0.06])
+            box(world, [x + 0.9, y, 0.7], [0.06, 0.42, 0.5])
+    places = [[rng.uniform(3, size[0] - 3), rng.uniform(3, size[1] - 3), 1.6] for _ in range(2)]
+    poses = [pose(at, rng.uniform(0, 360)) for at in places]
+    return twice(world, poses, lidar(48, 500, -60, 40), rng, 0.008, 30.0)
+
+
+def lobby(rng) -> AlikePair:
+    """A lobby that looks the same after half a turn, but for a few small things."""
+    world, size = Solids(), [10.0, 7.0, 3.2]
+    hall(world, [-5, -3.5, 0], [5, 3.5, 3.2])
+    for _ in range(6):
+        half = rng.uniform([0.4, 0.4, 0.5], [1.5, 1.0, 2.2])
+        x, y = rng.uniform([1, -3], [4.6, 3])
+        for sign in (-1, 1):
+            box(world, [sign * x, sign * y, half[2] / 2], half)
+    for _ in range(rng.integers(0, 4)):
+        box(world, [*rng.uniform(-3, 3, 2), 0.25], rng.uniform(0.3, 0.6, 3))
+    poses = [pose(clear(world, rng, size) - [5, 3.5, 0], rng.uniform(0, 360)) for _ in range(2)]
+    return twice(world, poses, lidar(48, 400, -60, 60), rng, 0.006, 30.0)
+
+
+def silo(rng) -> AlikePair:
+    """A round shaft with rings at equal heights and one ladder."""
+    world, radius, step = Solids(), rng.uniform(2, 3.5), rng.uniform(1.0, 2.0)
+    for k in range(36):
+        side = 2.1 * radius * np.tan(np.radians(5))
+        box(world, yaw(10 * k) @ [radius, 0, 0], [0.1, side, 40], yaw(10 * k))
+        for ring in range(-10, 11):
+            box(world, yaw(10 * k) @ [radius - 0.15, 0, 0] + [0, 0, ring * step], [0.2, side, 0.15], yaw(10 * k))
+    for k in range(-60, 60):
+        box(world, [radius - 0.4, 0, 0.3 * k], [0.04, 0.5, 0.04])
+    up = rng.uniform(0.6, 2.4) * step
+    poses = [pose([*rng.uniform(-0.5, 0.5, 2), z], rng.uniform(0, 360)) for z in (0, up)]
+    return twice(world, poses, lidar(64, 240, -80, 80), rng, 0.008, 30.0)
+
+
+def carriage(rng) -> AlikePair:
+    """A train carriage with rows of equal seats and windows."""
+    world, pitch = Solids(), rng.uniform(0.85, 1.0)
+    hall(world, [-10, -1.4, 0], [10, 1.4, 2.3])
+    for k in range(-10, 10):
+        for y in (-1.1, -0.6, 0.6, 1.1):
+            box(world, [pitch * k, y, 0.45], [0.45, 0.45, 0.1])
+            box(world, [pitch * k + 0.25, y, 0.75], [0.1, 0.45, 0.8])
+    for k in range(-5, 5):
+        for side in (-1, 1):
+            box(world, [2 * pitch * k, 1.37 * side, 1.4], [0.3, 0.1, 0.9])
+    poses = [pose([0, 0, 1.6]), pose([rng.uniform(0.7, 4.5) * pitch, rng.uniform(-0.2, 0.2), 1.6], rng.uniform(0, 360))]
+    return twice(world, poses, lidar(48, 500, -50, 50), rng, 0.006, 20.0)
+
+
 KINDS: dict[str, Callable[[np.random.Generator], AlikePair]] = {
     make.__name__: make
     for make in (stairs, ramp, stairwell, motorway, slope, fence, facade, rack, mirrored, changed, room, camera_room)
     + (street, boxes, trees, rotunda, stadium, terrace, station, forest, still)
+    + (bridge, desks, lobby, silo, carriage)
 }
 
 

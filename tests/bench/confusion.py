@@ -1,8 +1,8 @@
 """How often a verdict is wrong, by kind of pair: the confusion of right and reliable, for one program or several side by side.
 
-    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs ramp] [--scenes FOLDER]
+    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs "verdict: ball"] [--scenes FOLDER]
 
-Kinds are those of alike_pairs.py; `--scenes` adds the pairs of a folder with `pairs.json`, by their overlap. Several programs
+Kinds are those of alike_pairs.py, and with "verdict: " before them those of verdict_pairs.py; `--scenes` adds the pairs of a folder with `pairs.json`, by their overlap. Several programs
 take turns pair by pair, so that their processor times can be compared.
 """
 
@@ -18,7 +18,11 @@ from pathlib import Path
 
 import alike_pairs
 import numpy as np
+import verdict_pairs
 from scene_pairs import is_right
+
+VERDICT = "verdict: "
+KINDS = [*alike_pairs.KINDS, *(VERDICT + name for name in verdict_pairs.kinds(None, ""))]
 
 OUTCOMES = ["right, reliable", "right, not", "wrong, reliable", "wrong, not"]
 
@@ -27,8 +31,11 @@ def made(kinds: list[str], seeds: range, folder: Path) -> Iterator[tuple]:
     """Kind, name, files and the test of a transform."""
     for kind in kinds:
         for seed in seeds:
-            pair = alike_pairs.make(kind, seed)
-            files = [folder / f"{kind}-{seed}-{end}.npy" for end in ("source", "target")]
+            if kind.startswith(VERDICT):
+                pair = verdict_pairs.pairs(1, seed, None, "", [kind.removeprefix(VERDICT)])[0]()
+            else:
+                pair = alike_pairs.make(kind, seed)
+            files = [folder / f"{end}.npy" for end in ("source", "target")]
             for file, points in zip(files, (pair.source, pair.target), strict=True):
                 np.save(file, points)
             yield kind, f"{kind} {seed}", files, pair.is_right
@@ -65,7 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("programs", nargs="+")
     parser.add_argument("--seeds", type=int, nargs=2, default=[0, 6], help="first seed, and the one after the last")
-    parser.add_argument("--kinds", nargs="*", default=list(alike_pairs.KINDS))
+    parser.add_argument("--kinds", nargs="*", default=KINDS)
     parser.add_argument("--scenes", type=Path)
     parser.add_argument("--lines", action="store_true", help="a line for each pair too")
     arguments = parser.parse_args()

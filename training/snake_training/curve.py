@@ -14,6 +14,8 @@ import os
 import subprocess
 from pathlib import Path
 
+from .arguments import parser_of
+
 WIDTH, HEIGHT, MARGIN = 420, 280, 48
 
 
@@ -80,18 +82,15 @@ def named_model(text):
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.curve",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,  # --model is of `snake-cli eval`
-    )
-    parser.add_argument("data", nargs="+", help="data set of `snake-cli eval repeatability`")
-    parser.add_argument("--option", help="option of detection that varies, such as refine_steps")
-    parser.add_argument("--values", nargs="+", type=float, help="its values")
-    parser.add_argument("--models", nargs="+", type=named_model, metavar="VALUE=MODEL", help="models that vary")
-    parser.add_argument("--label", help="name of what varies; the option's by default")
-    parser.add_argument("-o", "--output", required=True, type=Path, help="folder")
+    arguments = {
+        "data": dict(nargs="+", help="data set of `snake-cli eval repeatability`"),
+        "--option": dict(help="option of detection that varies, such as refine_steps"),
+        "--values": dict(nargs="+", type=float, help="its values"),
+        "--models": dict(nargs="+", type=named_model, metavar="VALUE=MODEL", help="models that vary"),
+        "--label": dict(help="name of what varies; the option's by default"),
+        "-o": dict(dest="output", metavar="FOLDER", required=True, type=Path, help="folder of the runs and the curve"),
+    }
+    parser = parser_of("curve", __doc__, arguments, allow_abbrev=False)  # --model is of `snake-cli eval`
     given, words = parser.parse_known_args(argv)
     if (given.option is None) == (given.models is None) or (given.option is None) != (given.values is None):
         parser.error("give --option with --values, or --models")

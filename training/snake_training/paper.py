@@ -4,7 +4,6 @@ A command trains, exports and evaluates what its tables need, and prints the pap
 the tables. The same command goes on where it stopped. `--dry-run` prints the commands, their samples and hours.
 """
 
-import argparse
 import json
 import shlex
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 import torch
 
 from . import body_model, export
+from .arguments import RUN, check_run, option, parser_of
 from .command_line import parse_arguments
 from .paper_files import missing
 from .paper_tables import ITEMS, TRAINING
@@ -231,35 +231,26 @@ def snake_rows(folder, table):
 def main(argv=None):
     """Command line."""
     tables = "\n".join(f"  {name:9} {item.title}" for name, item in ITEMS.items())
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.paper", description=__doc__, epilog=f"tables and figures:\n{tables}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help="tables and figures, see below")
-    parser.add_argument("--all", action="store_true", help="all of them")
-    parser.add_argument("--data", required=True, help="the folder of data, as in the authors' repository")
-    parser.add_argument("--lists", help="the folder of the authors' lists; default: split in that of --data")
-    parser.add_argument(
-        "--run-dir", default="runs/paper", help="folder of networks, tables and pictures; default: runs/paper"
-    )
-    parser.add_argument(
-        "--seeds", type=int, default=6, help="networks of tables 6 to 13, whose figures are means; default: 6"
-    )
-    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="torch device; default: auto")
-    parser.add_argument("--minutes", type=float, default=0.0, help="train no longer than so many in all; 0: no limit")
-    parser.add_argument(
-        "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
-    )
-    parser.add_argument("--snake-cli", default="snake-cli", help="the program that evaluates; default: that of PATH")
-    parser.add_argument("--dry-run", action="store_true", help="print the commands, their samples and hours, and end")
-    parser.add_argument("--smoke", action="store_true", help="everything with next to no work, to see that it runs")
+    arguments = {
+        "tables": dict(nargs="*", metavar="TABLE", help="tables and figures, see below"),
+        "--all": dict(action="store_true", help="all of them"),
+        "--data": dict(required=True, help="the folder of data, as in the authors' repository"),
+        "--lists": dict(help="the folder of the authors' lists; default: split in that of --data"),
+        "--run-dir": option("runs/paper", "folder of networks, tables and pictures"),
+        "--seeds": option(6, "networks of tables 6 to 13, whose figures are means"),
+        "--snake-cli": option("snake-cli", "the program that evaluates"),
+        "--dry-run": dict(action="store_true", help="print the commands, their samples and hours, and end"),
+        "--smoke": dict(action="store_true", help="everything with next to no work, to see that it runs"),
+    }
+    parser = parser_of("paper", __doc__, arguments | RUN, epilog=f"tables and figures:\n{tables}")
     given = parser.parse_args(argv)
+    check_run(parser, given)
     names = list(ITEMS) if given.all else given.tables
     unknown = [name for name in names if name not in ITEMS]
     if unknown or not names:
         parser.error(f"{' '.join(unknown) or 'no table'}: give some of {', '.join(ITEMS)}, or --all")
-    if not (given.minutes >= 0 and given.workers >= 0 and given.seeds >= 1):
-        parser.error("--minutes and --workers must be 0 or more, --seeds 1 or more")
+    if given.seeds < 1:
+        parser.error("--seeds must be 1 or more")
     lists = given.lists or f"{given.data}/split"
     programme = Programme(names, given.data, lists, given.run_dir, given.seeds, given.smoke)
     if given.dry_run:

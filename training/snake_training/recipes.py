@@ -5,11 +5,11 @@ A recipe is a TOML file of stages in order. Each has a name, a kind, and the set
 
 objects   a network of objects: init (a stage), targets (of stages), and the settings of `snake_training.train`
 teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
-crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.data.crops`)
+crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
 export    of (a stage), output, digest, metadata: the weight file; the digest is that of the released file
-frames    pairs, seed: pairs of depth frames of made rooms (`snake_training.data.frames`)
-drives    drives, sweeps, step, seed: pairs of sweeps of made drives (`snake_training.data.drives`)
+frames    pairs, seed: pairs of depth frames of made rooms (`snake_training.make frames`)
+drives    drives, sweeps, step, seed: pairs of sweeps of made drives (`snake_training.make drives`)
 confidence  of (an export), scenes (stages), number, rotations: the map in the file, of pairs of scenes, or else of the
           validation data (`snake_training.confidence`)
 figures   of (an export), objects, epsilon, rotations: its repeatability on the validation data (`snake_training.evaluate`)
@@ -17,7 +17,6 @@ figures   of (an export), objects, epsilon, rotations: its repeatability on the 
 Shapes are procedural; `--data` adds some. `--smoke` runs every stage with next to no work.
 """
 
-import argparse
 import dataclasses
 import json
 import platform
@@ -36,10 +35,12 @@ except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
 from . import confidence, evaluate, moving
+from .arguments import RUN, check_run, option, parser_of
 from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
-from .data import Procedural, drives, frames, write_corpus
+from .data import Procedural, write_corpus
 from .data.crops import Crops, write_part
+from .data.sensors import write_drives, write_frames
 from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
@@ -224,7 +225,7 @@ class FrameStage(Stage):
 
     def run(self, recipe, folder):
         """Clouds and pairs.json."""
-        frames.write(folder, 2 if recipe.smoke else self.pairs, self.seed)
+        write_frames(folder, 2 if recipe.smoke else self.pairs, self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +239,7 @@ class DriveStage(Stage):
 
     def run(self, recipe, folder):
         """Clouds and pairs.json."""
-        drives.write(folder, 1 if recipe.smoke else self.drives, self.sweeps, self.step, self.seed)
+        write_drives(folder, 1 if recipe.smoke else self.drives, self.sweeps, self.step, self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -413,47 +414,25 @@ def processor():
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.recipes",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("recipes", nargs="+", help="TOML files")
-    parser.add_argument(
-        "--run-dir", default="runs", help="its folder NAME holds the stages of NAME.toml; default: runs"
-    )
-    parser.add_argument(
-        "--data", nargs="*", default=[], help="corpus folders or folders of clouds, beside the procedural ones"
-    )
-    parser.add_argument("--validation-data", nargs="*", default=[], help="the same for validation and figures")
-    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="torch device; default: auto")
-    parser.add_argument("--minutes", type=float, default=0.0, help="stop with a checkpoint after so many; 0: never")
-    parser.add_argument(
-        "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
-    )
-    parser.add_argument("--smoke", action="store_true", help="every stage with next to no work, to see that it runs")
-    parser.add_argument("--unpack", metavar="FOLDER", help="first take up what another machine packed there")
-    parser.add_argument(
-        "--pack", metavar="FOLDER", help="at the end write there what moves to another machine, in pieces"
-    )
+    arguments = {
+        "recipes": dict(nargs="+", help="TOML files"),
+        "--run-dir": option("runs", "its folder NAME holds the stages of NAME.toml"),
+        "--data": option([], "corpus folders or folders of clouds, beside the procedural ones", str, nargs="*"),
+        "--validation-data": option([], "the same for validation and figures", str, nargs="*"),
+        "--smoke": dict(action="store_true", help="every stage with next to no work, to see that it runs"),
+        "--unpack": dict(metavar="FOLDER", help="first take up what another machine packed there"),
+        "--pack": dict(metavar="FOLDER", help="at the end write there what moves to another machine, in pieces"),
+    }
+    parser = parser_of("recipes", __doc__, arguments | RUN)
     given = parser.parse_args(argv)
-    if not (given.minutes >= 0 and given.workers >= 0):
-        parser.error("--minutes and --workers must be 0 or more")
+    check_run(parser, given)
     if given.device != "cuda":
         torch.set_num_threads(1)
     try:
         for path in map(Path, given.recipes):
             run_dir = Path(given.run_dir) / path.stem
-            recipe = Recipe(
-                path,
-                run_dir,
-                given.smoke,
-                given.data,
-                given.validation_data,
-                given.device,
-                given.minutes,
-                given.workers,
-            )
+            data = given.data, given.validation_data
+            recipe = Recipe(path, run_dir, given.smoke, *data, given.device, given.minutes, given.workers)
             if given.unpack:
                 moving.unpack(Path(given.unpack) / path.stem, run_dir)
             try:

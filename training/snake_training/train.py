@@ -32,6 +32,7 @@ from .tasks.objects import Objects
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
 checkpoint. Ctrl-C, SIGTERM and SIGUSR1 end the run with a checkpoint after its step. With torchrun, samples are shared out
 over the processes."""
+CHECKPOINT_MINUTES = 5
 
 
 class Batches(Dataset):
@@ -248,7 +249,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
                 write_scalars(log, "train", running, state.step)
             if state.step % settings.validate_every == 0 or (finished and not spent):
                 validate(state, device, autocast, log)
-            if finished or interrupted or time.monotonic() - saved > settings.checkpoint_minutes * 60:
+            if finished or interrupted or time.monotonic() - saved > 60 * CHECKPOINT_MINUTES:
                 state.save("last.pt")
                 saved = time.monotonic()
         if interrupted:

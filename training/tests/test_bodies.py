@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from snake_training.data import bodies, write_corpus
-from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, main, posed, rotation_by, surface_pair
-from snake_training.data.procedural import triangles
+from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, posed, rotation_by, surface_pair
+from snake_training.data.shapes import triangles
 from snake_training.data.skeletons import CLASSES, capsule, ellipsoid, toward
+from snake_training.make import main
 
 
 def two_poses(name, points=2000):
@@ -144,7 +145,7 @@ def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
     index = [{"category": name} for name in ("animal", "chair", "character")]
     (tmp_path / "corpus/index.json").write_text(json.dumps(index))
     words = ["--number", "8", "--points", "256", "--corpus", str(tmp_path / "corpus"), "--bends", "2"]
-    main(["-o", str(tmp_path / "made"), *words])
+    main(["bodies", "-o", str(tmp_path / "made"), *words])
     assert [np.load(tmp_path / f"made/bent/body_{body}.npy").shape for body in (1, 2)] == [(4, 256, 3)] * 2
     assert {path.stem for path in (tmp_path / "made/annotated/annotations").glob("*.json")} == set(CLASSES)
     for name, what in (("annotated", "8 shapes of 8 classes"), ("posed", "8 pairs"), ("bent", "4 pairs")):
@@ -158,9 +159,9 @@ def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
 
 def test_what_cannot_be_written_is_refused(tmp_path, capsys):
     write_corpus(tmp_path / "corpus", [np.random.default_rng(1).normal(size=(300, 3))], 300)
-    few = ["-o", str(tmp_path / "made"), "--number", "8", "--points", "256"]
+    few = ["bodies", "-o", str(tmp_path / "made"), "--number", "8", "--points", "256"]
     for words, said in (
-        ([*few, "--number", "7"], "--number must be 8"),
+        ([*few, "--number", "7"], "number must be 8"),
         ([*few, "--corpus", str(tmp_path / "none")], "none"),
         ([*few, "--corpus", str(tmp_path / "corpus")], "no shape of the categories animal, character"),
     ):

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from snake_training.data.landmarks import RECIPES, boxes, landmarks, main
+from snake_training.data.landmarks import RECIPES, boxes, landmarks
+from snake_training.make import main
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -26,7 +27,7 @@ def test_the_landmarks_of_a_box_are_its_extreme_points():
 
 
 def test_the_folder_has_keypointnets_layout(tmp_path):
-    main(["-o", str(tmp_path), "--number", "12", "--points", "512"])
+    main(["landmarks", "-o", str(tmp_path), "--number", "12", "--points", "512"])
     for name in RECIPES:
         rows = json.loads((tmp_path / "annotations" / f"{name}.json").read_text())
         assert len(rows) == 2
@@ -42,5 +43,5 @@ def test_the_folder_has_keypointnets_layout(tmp_path):
 
 def test_too_few_shapes_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
-        main(["-o", str(tmp_path), "--number", "3"])
-    assert "--number must be" in capsys.readouterr().err
+        main(["landmarks", "-o", str(tmp_path), "--number", "3"])
+    assert "number must be" in capsys.readouterr().err

@@ -249,9 +249,11 @@ def test_the_command_says_in_one_line_what_is_wrong(tmp_path, capsys):
         assert stop.value.code == 2 and "Traceback" not in capsys.readouterr().err
 
 
-def test_views_and_surface_of_a_crop_are_the_same_places(run_dir):
+def test_views_and_surface_of_a_crop_are_the_same_places(run_dir, monkeypatch):
     """Queries lie as far from the clean surface in the teacher's box as in the crop, and views near it."""
-    settings = SceneTraining(batch=1, queries=200, max_noise=0, max_thinning=1)
+    monkeypatch.setattr("snake_training.tasks.scenes.MAX_NOISE", 0)
+    monkeypatch.setattr("snake_training.tasks.scenes.MAX_THINNING", 1)
+    settings = SceneTraining(batch=1, queries=200)
     batch = Scenes(settings, Crops(run_dir / "crops")).batch(0, 1)
     points, owner, surface = batch["points"].numpy(), batch["owner"].numpy(), batch["surface_points"].numpy()
     assert set(owner) == {0, 1} and points.min() >= 0 and points.max() < settings.side

@@ -93,7 +93,7 @@ impl InputArguments {
             return Ok(Attributes::default());
         }
         let mut attributes = io::read_attributes(path, self.input_format, cloud.points.len())?;
-        // As the points, the sensor is relative to the cloud's origin.
+        // The sensor's position is relative to the cloud's origin, as the points are.
         attributes.viewpoint.iter_mut().flatten().zip(cloud.origin).for_each(|(v, origin)| *v -= origin);
         Ok(attributes)
     }
@@ -106,7 +106,8 @@ impl InputArguments {
             Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
         }
         if let Some(share) = dominant_face {
-            let (name, percent) = (path.display(), 100.0 * share);
+            let name = path.display();
+            let percent = 100.0 * share;
             terminal::warn(&format!(
                 "{name}: one face holds {percent:.0} % of the mesh's surface, and so of the samples"
             ));

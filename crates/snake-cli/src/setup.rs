@@ -11,6 +11,8 @@ use snake_core::{Builtin, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, 
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
+use crate::inputs::check_inputs;
+use crate::output::InputFiles;
 use crate::set::SetArguments;
 use crate::{config, model, terminal};
 
@@ -54,6 +56,19 @@ impl ComputeArguments {
         Ok(())
     }
 
+    /// Starts the threads of a command, and refuses outputs that are among its inputs.
+    pub fn begin<'a>(
+        &'a self,
+        inputs: impl IntoIterator<Item = &'a PathBuf>,
+        outputs: impl IntoIterator<Item = &'a PathBuf>,
+    ) -> Result<()> {
+        self.start_threads()?;
+        let inputs: Vec<&PathBuf> = inputs.into_iter().collect();
+        check_inputs(inputs.iter().copied())?;
+        let files = InputFiles::new(inputs.into_iter().chain(&self.model));
+        outputs.into_iter().try_for_each(|path| files.refuse_as_output(path))
+    }
+
     /// Loads the model of `--model`, or else the built-in model `which`. `start` gives the options that `snake.toml` then changes.
     pub fn load_model(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
         load(self.named()?.or(which.map(|which| Path::new(which.name()))), start)
@@ -77,7 +92,7 @@ impl ComputeArguments {
         self.load_model(Some(Builtin::Scenes), recommended)
     }
 
-    /// What chooses model and options of each cloud, for given values of options.
+    /// The chooser of model and options for each cloud, for given values of options.
     pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
         let chooser = match self.named()? {
             Some(path) => load(Some(path), recommended)?.into(),
@@ -86,8 +101,8 @@ impl ComputeArguments {
         Ok(chooser.with_values(values)?)
     }
 
-    /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A model that
-    /// is named is loaded, so that a mistake in its name is said.
+    /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A named
+    /// model is always loaded, so that a mistake in its name is reported.
     pub fn chooser_of_registration(&self, options: &RegisterOptions) -> Result<Option<Chooser>> {
         let is_used = options.needs_model() || self.named()?.is_some();
         is_used.then(|| self.chooser(&Map::new())).transpose()
@@ -124,7 +139,8 @@ pub fn recommended(model: &Model) -> Options {
 /// Loads a model with the options that the configuration makes of those of `start`.
 pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
     let began = Instant::now();
-    let (model, name) = (model::load(path)?, model::name(path));
+    let model = model::load(path)?;
+    let name = model::name(path);
     let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), &start(&model))?;
     terminal::detail("loaded", || format!("{name}, {:.3} s", began.elapsed().as_secs_f64()));
     Ok(NamedModel::new(model, name).with_options(options))

@@ -25,7 +25,7 @@
 //! |---|---|---|
 //! | a cloud | its keypoints | [`Model::detect`] |
 //! | a cloud | occupancy, saliency, descriptors or a mesh as well | [`Model::encode`], then [`Field`] |
-//! | one cloud after another | the keypoints of each, in the volumes of the last | [`Detector`] |
+//! | one cloud after another | the keypoints of each, in the volumes of the last | [`FrameDetector`] |
 //! | keypoints of frames | the same keypoint in each frame | [`Tracker`] |
 //! | a cloud larger than memory | keypoints | [`TileDetector`], or the crate `snake-tiles` |
 //! | a time limit or a server | progress, cancellation, limits | [`Control`], with the methods that end in `_with` |
@@ -67,7 +67,7 @@ pub use detect::{
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
-pub use live::{Detector, Tracker, TrackerOptions};
+pub use live::{FrameDetector, Tracker, TrackerOptions};
 pub use model::Model;
 pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
 #[doc(hidden)]

@@ -26,6 +26,6 @@ mod shown_cloud;
 mod vertices;
 
 pub use page::{Page, viridis};
-pub use pair::Pair;
+pub use pair::ShownPair;
 pub use registration_page::RegistrationPage;
 pub use shown_cloud::ShownCloud;

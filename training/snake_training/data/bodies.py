@@ -1,11 +1,10 @@
 """Bodies with known correspondences: posed skeletons, chairs and lamps with joints, aeroplanes of other proportions, bent clouds.
 
-`python -m snake_training.data.bodies -o bodies/` writes what `eval semantic` reads: `annotated/`, shapes with landmarks in
-KeypointNet's layout, and `posed/`, pairs of bodies of which point i is the same place of the surface. `--corpus` adds `bent/`, pairs
-of an animal or a character of a corpus and a bent copy of it.
+`write_bodies` writes data for `eval semantic`: `annotated/`, shapes with landmarks in KeypointNet's layout, and `posed/`, pairs of
+bodies whose points i are the same point of the surface. With a corpus it adds `bent/`, pairs of an animal or a character and a bent
+copy of it.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from ..augment import random_rotation
 from .datasets import Corpus, ShapeError
 from .landmarks import write_annotated
-from .procedural import draw_on, triangles
+from .shapes import draw_on, triangles
 from .skeletons import CLASSES, toward
 
 BENT = ("animal", "character")
@@ -151,7 +150,10 @@ def write_pairs(folder, pairs):
 
 
 def write_bodies(folder, number=200, points=2048, seed=1, corpus=(), bends=4):
-    """`number` annotated shapes and as many pairs, class by class in turn, and `bends` bent copies of each animal and character."""
+    """`number` annotated shapes and as many pairs, class by class in turn, and `bends` bent copies of each animal and character of the
+    corpus folders. Raises ValueError for less than one of each class, less than 256 points, or no bent copy."""
+    if number < len(CLASSES) or points < 256 or bends < 1:
+        raise ValueError(f"number must be {len(CLASSES)} or more, points 256 or more, bends 1 or more")
     folder, names = Path(folder), [list(CLASSES)[row % len(CLASSES)] for row in range(number)]
     write_annotated(
         folder / "annotated", ((name, *annotated(name, points, seed, row)) for row, name in enumerate(names))
@@ -172,31 +174,3 @@ def write_bodies(folder, number=200, points=2048, seed=1, corpus=(), bends=4):
     ]
     if pairs:
         write_pairs(folder / "bent", pairs)
-
-
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.bodies",
-        description="Write bodies with known correspondences, for `snake-cli eval semantic`.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument(
-        "-o", "--output", required=True, help="folder to write: annotated/, posed/ and, with --corpus, bent/"
-    )
-    parser.add_argument("--number", type=int, default=200, help="annotated shapes, and pairs of bodies")
-    parser.add_argument("--points", type=int, default=2048, help="points of each")
-    parser.add_argument("--corpus", nargs="+", default=[], help="corpus folders whose animals and characters are bent")
-    parser.add_argument("--bends", type=int, default=4, help="number of bent copies of each animal or character")
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args(argv)
-    if given.number < len(CLASSES) or given.points < 256 or given.bends < 1:
-        parser.error(f"--number must be {len(CLASSES)} or more, --points 256 or more, --bends 1 or more")
-    try:
-        write_bodies(given.output, given.number, given.points, given.seed, given.corpus, given.bends)
-    except (OSError, ShapeError) as error:
-        parser.error(str(error))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,10 +1,9 @@
 """Shapes that know their own landmarks: corners of boxes and nuts, the ends of legs, tips of wings, noses, tails and ears.
 
-`python -m snake_training.data.landmarks -o landmarks/` writes 200 of them in KeypointNet's layout, which `eval semantic`
-reads: the share of the landmarks that have a keypoint nearby says whether keypoints are where a person expects them.
+`write_landmarks` writes them in KeypointNet's layout, which `eval semantic` reads: the share of the landmarks with a keypoint nearby
+says whether keypoints are where a person expects them.
 """
 
-import argparse
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..augment import normalize, random_rotation
-from .procedural import box, moved, sample_surface, superquadric, tube
+from .shapes import box, moved, sample_surface, superquadric, tube
 
 SIGNS = (-1, 1)
 
@@ -159,32 +158,10 @@ def write_annotated(folder, shapes):
         os.replace(temporary, folder / "annotations" / f"{name}.json")
 
 
-def write_landmarks(folder, number, points=4096, seed=1):
-    """`number` shapes, class by class in turn."""
+def write_landmarks(folder, number=200, points=4096, seed=1):
+    """`number` shapes, class by class in turn. Raises ValueError for less than one of each class, or less than 256 points."""
+    if number < len(RECIPES) or points < 256:
+        raise ValueError(f"number must be {len(RECIPES)} or more, points 256 or more")
     names = [list(RECIPES)[row % len(RECIPES)] for row in range(number)]
     seeds = (np.random.default_rng([seed, row, 0x1A4D]) for row in range(number))
     write_annotated(folder, ((name, *landmarks(name, rng, points)) for name, rng in zip(names, seeds, strict=True)))
-
-
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.landmarks",
-        description="Write shapes with known landmarks in KeypointNet's layout, for `snake-cli eval semantic`.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("-o", "--output", required=True, help="folder to write")
-    parser.add_argument("--number", type=int, default=200, help="shapes")
-    parser.add_argument("--points", type=int, default=4096, help="points of each")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args(argv)
-    if arguments.number < len(RECIPES) or arguments.points < 256:
-        parser.error(f"--number must be {len(RECIPES)} or more, --points 256 or more")
-    try:
-        write_landmarks(arguments.output, arguments.number, arguments.points, arguments.seed)
-    except OSError as error:
-        parser.error(str(error))
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .procedural import box, moved, revolve, superquadric
+from .shapes import box, moved, revolve, superquadric
 
 SIDES = (-1, 1)
 UP, DOWN, FORWARD, BACK = (0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0)

@@ -14,6 +14,9 @@ from ..model import NetworkConfig, SnakeNetwork
 from ..scene_model import SHAPES, SceneNetwork
 from .objects import label
 
+MAX_THINNING, MAX_NOISE = 8.0, 0.5  # of views: one point of so many is kept; standard deviation, in voxels
+GRID_SIDE = 6.0  # voxels, of a local grid
+
 
 class Scenes:
     """Crops, two views each. The saliency is learnt by the four losses if the settings have local grids; else from the crop's
@@ -123,13 +126,13 @@ class Placement:
         return ((placed > margin) & (placed < self.side - 1 - margin)).all(axis=-1)
 
 
-def shown(points, settings, rng):
-    """What a network is shown of a view (M, 3): half of them thinned, a third with noise."""
+def shown(points, rng):
+    """The points (K, 3) of a view (M, 3) for a network: half of the views are thinned, a third have noise."""
     if rng.random() < 0.5:
-        share = settings.max_thinning ** -rng.random()
+        share = MAX_THINNING ** -rng.random()
         points = points[rng.permutation(len(points))[: max(int(len(points) * share), 30)]]
     if rng.random() < 0.35:
-        points = points + rng.uniform(0, settings.max_noise) * rng.standard_normal(points.shape)
+        points = points + rng.uniform(0, MAX_NOISE) * rng.standard_normal(points.shape)
     return points
 
 
@@ -137,7 +140,7 @@ def sample_of(crop, settings, rng):
     """The arrays of a crop that `Scenes.batch` joins; None if a box holds too little. The views are turned and moved each by
     itself and cut to a box."""
     placements = [Placement(settings, rng) for _ in range(2)]
-    points = [place.cut(shown(crop[f"points_{view}"], settings, rng)) for view, place in enumerate(placements)]
+    points = [place.cut(shown(crop[f"points_{view}"], rng)) for view, place in enumerate(placements)]
     sides = [(place(crop[f"solid_{view}"]), place(crop["free"])) for view, place in enumerate(placements)]
     drawings = [[drawn(side, place, settings, rng) for side in both] for both, place in zip(sides, placements)]
     if min(map(len, points)) < 20 or any(some is None for both in drawings for some in both):
@@ -149,7 +152,7 @@ def sample_of(crop, settings, rng):
     if len(rows) < 50:
         return None
     if settings.num_grids:  # the crop's queries lie near what both sensors saw
-        grid = local_grid(settings.grid_size, settings.grid_voxels)
+        grid = local_grid(settings.grid_size, GRID_SIDE)
         centers = crop["queries"][rows[rng.integers(len(rows), size=settings.num_grids)]]
         grids = np.stack([place((centers[:, None] + grid).reshape(-1, 3)) for place in placements])
         inside = np.stack([place.inside(at, 0.5) for place, at in zip(placements, grids)])

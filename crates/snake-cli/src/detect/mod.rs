@@ -115,7 +115,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
     Ok(checked.collect())
 }
 
-/// What all clouds of a run share.
+/// The parts that all clouds of a run share.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     chooser: &'a Chooser,
@@ -131,7 +131,7 @@ struct Item<'a> {
     /// The name in messages.
     name: &'a str,
     output: Option<&'a Path>,
-    /// What a recording says of the cloud.
+    /// The topic and the time of a cloud of a recording, for the report.
     recorded: Option<Value>,
     contents: Contents,
     /// When reading began.
@@ -160,7 +160,8 @@ impl Job<'_> {
         let Self { arguments, control, .. } = *self;
         let read = start.elapsed().as_secs_f64();
         let chosen = self.chooser.for_cloud(&cloud).with_context(|| name.to_owned())?;
-        let (origin, num_points) = (chosen.origin, cloud.points.len());
+        let origin = chosen.origin;
+        let num_points = cloud.points.len();
         if self.is_new(&chosen.name) {
             bar.suspend(|| detail_of(&chosen));
         }
@@ -182,7 +183,8 @@ impl Job<'_> {
             write(output, arguments.format, &detection, &source)?;
             origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
         }
-        let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
+        let timing = detection.timing;
+        let total = start.elapsed().as_secs_f64();
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
         let report = if arguments.json {
             let origins = [origin, origin_to_add];

@@ -183,9 +183,9 @@ pub struct EvalArguments {
     /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
-    /// Suppress the keypoints of each method so far that they cover the clouds alike: that the mean distance of a point to the
-    /// nearest keypoint is this, in units of the data set. The radius of each method and condition is found on the first cloud
-    /// of every pair or shape, and methods are then compared fairly.
+    /// Suppress the keypoints of each method until the mean distance from a point to the nearest keypoint is this, in units of
+    /// the data set, so that methods are compared at equal coverage. The radius of each method and condition is found on the
+    /// first cloud of every pair or shape.
     #[arg(long, value_name = "DISTANCE", conflicts_with = "nms_radius")]
     pub coverage: Option<f64>,
     /// Also evaluate the keypoints in FOLDER/CLOUD.npz under this name: `keypoints` (K, 3) in the cloud's frame and, unless

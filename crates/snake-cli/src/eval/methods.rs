@@ -68,21 +68,21 @@ pub struct Ranked {
     pub model: Option<Builtin>,
 }
 
-/// The cloud of a file of keypoints.
+/// The cloud that a file of keypoints belongs to.
 #[derive(Clone, Copy)]
 pub struct InFile<'a> {
-    /// The name of the file, without its extension.
+    /// The file's name without its extension.
     pub name: &'a str,
-    /// Offset to add to the cloud for the frame of its file.
+    /// Offset from the cloud's coordinates to those of its file.
     pub origin: [f64; 3],
 }
 
-/// How far apart the ranked keypoints of a method are.
+/// The least distance between the ranked keypoints of a method.
 #[derive(Clone, Copy)]
 enum Spacing {
-    /// As the method gives them.
+    /// The method's own.
     Own,
-    /// At least a length.
+    /// This length.
     Radius(Length),
     /// The radius at which the keypoints cover the clouds as `--coverage` asks.
     Coverage,
@@ -95,8 +95,8 @@ impl Spacing {
 }
 
 impl Method {
-    /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, all ranked keypoints are farther apart
-    /// than that. With `--coverage` [`candidates`](Self::candidates) are not suppressed.
+    /// The methods of the command line. All ranked keypoints are farther apart than `--nms-radius`, or else `spacing`. With
+    /// `--coverage` [`candidates`](Self::candidates) are not suppressed.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
         let spacing = match arguments.coverage {
             Some(_) => Spacing::Coverage,
@@ -165,8 +165,8 @@ impl Method {
         settings
     }
 
-    /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
-    /// They are suppressed by the radius, in cloud units, or else by the method's own.
+    /// Positions of the best keypoints of a cloud, best first; `file` names the cloud for keypoints in files. The seed determines
+    /// random choices. `radius` suppresses them, in cloud units, or else the method's own radius.
     pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64, radius: Option<f64>) -> Result<Ranked> {
         let radius = radius.map(Length::Units).or(self.spacing.radius());
         let Ranked { positions, model } = self.candidates(points, file, seed)?;
@@ -198,13 +198,13 @@ impl Method {
         Ok(Ranked { positions, model: None })
     }
 
-    /// Sets how many keypoints a detection finds, and how far apart.
+    /// Sets the number of keypoints of a detection and the distance between them.
     fn set_number(&self, options: &mut DetectOptions, spacing: Spacing) {
         options.max_keypoints = self.count;
         match spacing {
             Spacing::Own => (),
             Spacing::Radius(radius) => options.nms_radius = none_if_zero(radius),
-            // Suppression of all candidates follows.
+            // All candidates are suppressed afterwards.
             Spacing::Coverage => {
                 (options.nms_radius, options.max_keypoints, options.min_confidence) = (None, usize::MAX, None)
             }
@@ -218,7 +218,7 @@ impl Method {
 }
 
 impl Source {
-    /// The network, by each of the models or by that of each cloud.
+    /// One source for each named model, or one that chooses a model for each cloud.
     fn networks(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
         let mut values = arguments.options.values();
         values.extend(rotations.map(|number| ("rotations".to_owned(), number.into())));
@@ -236,7 +236,7 @@ pub fn count_models(ranked: &[Ranked]) -> Models {
     models
 }
 
-/// Refuses a name that is given twice: rows of one name are taken for several models of one method.
+/// Refuses a name that is given twice, because a report takes rows of one name for several models of one method.
 pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
     let mut known = HashSet::new();
     for name in names {

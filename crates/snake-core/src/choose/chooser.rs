@@ -218,7 +218,7 @@ fn placed<'a>(
     Ok((UsedCloud::new(&points)?.into_owned(), [0.0; 3]))
 }
 
-/// What to say of a model that an option named, if the cloud would have another one.
+/// The note on a model that an option named, if another one suits the cloud.
 fn note_of_option(option: &str, which: Builtin, suited: Builtin) -> Option<String> {
     let kind = match which {
         Builtin::Compact => "objects",
@@ -230,7 +230,7 @@ fn note_of_option(option: &str, which: Builtin, suited: Builtin) -> Option<Strin
     })
 }
 
-/// What decided the model of a cloud.
+/// The reason for the model of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ChosenBy {
@@ -238,7 +238,7 @@ pub enum ChosenBy {
     Name,
     /// An option that only its kind of models has.
     Option(&'static str),
-    /// What the cloud looks like.
+    /// The cloud looks like an object or like a scene.
     Cloud,
 }
 
@@ -254,7 +254,7 @@ pub struct Chosen<'a> {
     pub name: String,
     /// The options.
     pub options: Options,
-    /// What decided.
+    /// The reason for the model.
     pub by: ChosenBy,
     /// A text for the user if an option changed the model from what the cloud would have, or if the cloud could be of
     /// either kind.
@@ -278,7 +278,7 @@ impl Chosen<'_> {
         Ok(Chosen { which, model, name: self.name.clone(), options, by, note: None, cloud: used, origin })
     }
 
-    /// What a user should know before detection: [`Chosen::note`] and [`scale_hint`].
+    /// The notes for a user before detection: [`Chosen::note`] and [`scale_hint`].
     pub fn notes(&self) -> Vec<String> {
         let scale = scale_hint(&self.cloud, self.model.config(), &self.options);
         self.note.iter().cloned().chain(scale).collect()

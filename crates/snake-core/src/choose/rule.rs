@@ -39,7 +39,7 @@ pub(super) fn by_cloud(cloud: &UsedCloud) -> Builtin {
     if cloud.is_sweep() || scene_score(cloud) > 0.0 { Builtin::Scenes } else { Builtin::Compact }
 }
 
-/// What to say of a cloud that looks about as much like a scene as like an object.
+/// The note on a cloud that looks about as much like a scene as like an object.
 pub(super) fn note_of_doubt(cloud: &UsedCloud) -> Option<String> {
     if cloud.is_sweep() || scene_score(cloud).abs() > DOUBT {
         return None;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::Model;
 use crate::detect::Detection;
 use crate::lattice::TimeBudget;
-use crate::live::detector::Detector;
+use crate::live::detector::FrameDetector;
 use crate::options::Options;
 use crate::{Error, Result};
 use snake_geometry::{Length, NormalizationMethod, Point};
@@ -102,7 +102,7 @@ impl Model {
     }
 
     fn median_seconds(&self, cloud: &[Point], options: Options) -> Result<f64> {
-        let mut detector = Detector::new(self.clone(), options)?;
+        let mut detector = FrameDetector::new(self.clone(), options)?;
         let mut detection = Detection::default();
         let mut seconds = [0.0; REPEATS];
         detector.detect_into(cloud, &mut detection)?;

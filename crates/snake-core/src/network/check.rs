@@ -1,4 +1,4 @@
-//! What a network can serve: its options, and limits of memory and time that hold for every call. Without these a small weight
+//! The checks before every call: the options of a network, and limits of memory and time. Without these a small weight
 //! file could use all memory or run for hours, although each option is within its range.
 
 use super::{ModelConfig, Network, weights};

@@ -35,7 +35,7 @@ impl Report {
 
 /// The figures of one pair of clouds, or of one shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Pair<Row> {
+pub struct Sample<Row> {
     /// The name of the pair or shape.
     pub name: String,
     /// The rows, in the same order for every pair.
@@ -74,8 +74,8 @@ fn num_models(groups: &[Vec<usize>]) -> usize {
 }
 
 /// The rows of a group for all pairs: a list for each seed and model.
-fn rows_by_run<'a, Row>(runs: &[&'a [Pair<Row>]], group: &[usize]) -> Vec<Vec<&'a Row>> {
-    let pairs_of = |pairs: &'a [Pair<Row>], row: usize| pairs.iter().map(|pair| &pair.rows[row]).collect();
+fn rows_by_run<'a, Row>(runs: &[&'a [Sample<Row>]], group: &[usize]) -> Vec<Vec<&'a Row>> {
+    let pairs_of = |pairs: &'a [Sample<Row>], row: usize| pairs.iter().map(|pair| &pair.rows[row]).collect();
     runs.iter().flat_map(|&pairs| group.iter().map(move |&row| pairs_of(pairs, row))).collect()
 }
 

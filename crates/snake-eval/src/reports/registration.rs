@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use snake_core::Result;
 
-use super::{Pair, Report, alike, cell, json, num_models, object, rows_by_run};
+use super::{Report, Sample, alike, cell, json, num_models, object, rows_by_run};
 use crate::datasets::ScenePair;
 use crate::tables::paper::PaperRegistration;
 use crate::tables::{Axis, Chart, Series, Statistic, deviation_name, mean};
@@ -149,7 +149,7 @@ pub fn report(
     cases: &Cases,
     settings: &Value,
     pairs: &[&ScenePair],
-    runs: &[&[Pair<Row>]],
+    runs: &[&[Sample<Row>]],
     paper: Option<&'static PaperRegistration>,
 ) -> Result<Report> {
     let mut scenes: Vec<&str> = Vec::new();
@@ -242,9 +242,9 @@ mod tests {
         ScenePair { scene: scene.into(), source: 0, target: 1, fragments, t_target_source, information: None }
     }
 
-    fn row(inlier_ratio: f64, squared_error: Option<f64>) -> Pair<Row> {
+    fn row(inlier_ratio: f64, squared_error: Option<f64>) -> Sample<Row> {
         let row = Row { found: 50.0, correspondences: 10, inlier_ratio, squared_error };
-        Pair { name: "a".into(), rows: vec![row] }
+        Sample { name: "a".into(), rows: vec![row] }
     }
 
     #[test]

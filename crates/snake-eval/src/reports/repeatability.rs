@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Models, Pair, Report, Summary, alike, csv, json, named_with_models, num_models, rows_by_run};
+use super::{Models, Report, Sample, Summary, alike, csv, json, named_with_models, num_models, rows_by_run};
 use crate::tables::paper::{PaperRepeatability, PaperTable};
 use crate::tables::{Axis, Chart, Series, Statistic, deviation_name, mean};
 use crate::views::Condition;
@@ -139,7 +139,7 @@ impl<'a> Figures<'a> {
 pub fn report(
     sweeps: &Sweeps,
     settings: &Value,
-    runs: &[&[Pair<Row>]],
+    runs: &[&[Sample<Row>]],
     paper: Option<&'static PaperRepeatability>,
 ) -> Report {
     let rows = runs[0].first().map_or(&[][..], |pair| &pair.rows);
@@ -261,8 +261,8 @@ mod tests {
         let conditions = vec![CLEAN, BLURRED];
         let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions };
         let pairs = [
-            Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(BLURRED, 0, [0.0, 0.0])] },
-            Pair { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
+            Sample { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(BLURRED, 0, [0.0, 0.0])] },
+            Sample { name: "b".into(), rows: vec![row(CLEAN, 8, [0.25, 1.0]), row(BLURRED, 2, [0.0, 0.5])] },
         ];
         let settings = json!({"seed": 0});
         let report = report(&sweeps, &settings, &[&pairs], None);
@@ -308,9 +308,9 @@ At ε 0.2, over noise:
         let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions: vec![CLEAN] };
         let pair = |models: &[(&str, usize)]| {
             let models = models.iter().map(|&(model, number)| (model.to_owned(), number)).collect();
-            Pair { name: "a".into(), rows: vec![Row { models, ..row(CLEAN, 4, [0.5, 1.0]) }] }
+            Sample { name: "a".into(), rows: vec![Row { models, ..row(CLEAN, 4, [0.5, 1.0]) }] }
         };
-        let first_row = |pairs: &[Pair<Row>]| {
+        let first_row = |pairs: &[Sample<Row>]| {
             let lines = report(&sweeps, &json!({}), &[pairs], None).text_lines();
             lines.into_iter().find(|line| line.starts_with("iss")).unwrap()
         };
@@ -324,7 +324,7 @@ At ε 0.2, over noise:
             Row { models: by("scenes"), ..row(CLEAN, 4, [0.5, 1.0]) },
             Row { models: by("compact"), ..row(BLURRED, 4, [0.5, 1.0]) },
         ];
-        let pairs = [Pair { name: "a".into(), rows }];
+        let pairs = [Sample { name: "a".into(), rows }];
         let settings = json!({});
         let tables = tables::markdown(&report(&sweeps, &settings, &[&pairs], None).charts);
         assert!(tables.contains("| iss (scenes) |") && tables.contains("| iss (compact 2, scenes 2) |"), "{tables}");
@@ -333,7 +333,7 @@ At ε 0.2, over noise:
     #[test]
     fn the_papers_rows_stand_where_they_have_figures() {
         let blurred = Condition { downsample: 1, noise: 0.08 };
-        let pairs = [Pair { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(blurred, 4, [0.25, 0.75])] }];
+        let pairs = [Sample { name: "a".into(), rows: vec![row(CLEAN, 4, [0.5, 1.0]), row(blurred, 4, [0.25, 0.75])] }];
         let settings = json!({});
         let markdown = |table_epsilon| {
             let (epsilon, conditions) = (vec![0.04, 0.3], vec![CLEAN, blurred]);
@@ -355,7 +355,7 @@ At ε 0.2, over noise:
     #[test]
     fn seeds_by_hand() {
         let sweeps = Sweeps { epsilon: vec![0.1, 0.2], table_epsilon: 0.2, conditions: vec![CLEAN] };
-        let pair = |shares| Pair { name: "a".into(), rows: vec![row(CLEAN, 4, shares)] };
+        let pair = |shares| Sample { name: "a".into(), rows: vec![row(CLEAN, 4, shares)] };
         let runs = [[pair([0.25, 0.5]), pair([0.5, 0.5])], [pair([0.5, 0.75]), pair([0.75, 0.75])]];
         let settings = json!({});
         let report = report(&sweeps, &settings, &runs.each_ref().map(|run| &run[..]), None);

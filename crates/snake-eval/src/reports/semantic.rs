@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use snake_core::Result;
 
-use super::{Models, Pair, Report, Summary, alike, csv, json, named_with_models, num_models, rows_by_run};
+use super::{Models, Report, Sample, Summary, alike, csv, json, named_with_models, num_models, rows_by_run};
 use crate::tables::paper::PaperTable;
 use crate::tables::{Axis, Chart, Series, Statistic, deviation_name, mean};
 use crate::{MatchCounts, SmplProtocol, smpl_iou};
@@ -107,7 +107,7 @@ fn summarize(runs: &[Classes], class: Option<&str>, are_bodies: bool) -> Result<
 pub fn report(
     threshold: &[f64],
     settings: &Value,
-    runs: &[&[Pair<Row>]],
+    runs: &[&[Sample<Row>]],
     classes: &[Option<&str>],
     paper: Option<&'static PaperTable>,
 ) -> Result<Report> {
@@ -176,13 +176,13 @@ mod tests {
     use crate::tables;
     use crate::tables::paper::KEYPOINTNET;
 
-    fn shape(keypoints: usize, strict: [usize; 3], paper: [usize; 3]) -> Pair<Row> {
+    fn shape(keypoints: usize, strict: [usize; 3], paper: [usize; 3]) -> Sample<Row> {
         let counts = |[ground_truth, false_positives, false_negatives]: [usize; 3]| {
             vec![MatchCounts { ground_truth, false_positives, false_negatives }]
         };
         let (method, models) = ("iss".into(), Models::new());
         let row = Row { method, models, keypoints, strict: counts(strict), paper: counts(paper) };
-        Pair { name: "a".into(), rows: vec![row] }
+        Sample { name: "a".into(), rows: vec![row] }
     }
 
     #[test]

@@ -64,7 +64,7 @@ impl Chart {
         let mut head = vec![self.first.to_owned()];
         head.extend(values.iter().map(|value| format!("{prefix}{value}")));
         head.extend(self.others.iter().map(|&other| other.to_owned()));
-        let ours = self.series.iter().map(|Series { title, cells, .. }| [&[title.clone()], &cells[..]].concat());
+        let ours = self.series.iter().map(|Series { title, cells, .. }| [std::slice::from_ref(title), cells].concat());
         let mut theirs = self.paper.map(|paper| paper.rows(values)).unwrap_or_default();
         theirs.iter_mut().for_each(|row| row.resize(head.len(), "-".into()));
         std::iter::once(head.clone()).chain(ours).chain(theirs).collect()

@@ -79,7 +79,7 @@ struct Lengths {
     input: usize,
     /// Between the convolutions of the encoder.
     middle: usize,
-    /// What the encoder makes.
+    /// The output of the encoder.
     skip: usize,
     /// Between the convolutions of the decoder; 0 on the coarsest level.
     decoded: usize,

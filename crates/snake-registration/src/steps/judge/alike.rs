@@ -6,20 +6,27 @@ use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
 use super::tuning::TUNING;
 use crate::steps::consensus::consensus;
 use crate::steps::describe::{Rows, describe_cloud};
+use crate::steps::matches::inliers;
 use crate::steps::pair::Pair;
 use crate::steps::prepare::PreparedCloud;
 use snake_core::{Control, Result};
 use snake_geometry::{Vector, vector};
 
-/// The motions of a cloud onto itself on which matches of its descriptors with its own places
-/// elsewhere agree, the best supported first; `signed` as in [`describe_cloud`]. The cloud keeps them.
+/// Number of places that are compared with all others at once: a map has many.
+const CHUNK: usize = 64;
+
+/// The motions of a cloud onto itself on which a good share of the matches of its descriptors with its own
+/// places elsewhere agree, the best supported first; `signed` as in [`describe_cloud`]. The cloud keeps them.
 pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[IsometryMatrix3<f64>]> {
     let slot = &cloud.self_motions[usize::from(signed)];
     if slot.get().is_none() {
         let (pair, control) = (Pair::new(cloud, cloud, None), Control::default());
         let pair = if signed { pair } else { pair.without_signs() };
         let indices = matches_elsewhere(cloud, &describe_cloud(cloud, signed, &control)?);
-        let motions = consensus(&pair.matches(&indices)?, pair.criteria(), TUNING.self_motions, &control)?;
+        let matches = pair.matches(&indices)?;
+        let least = TUNING.min_self_support * matches.len() as f64;
+        let mut motions = consensus(&matches, pair.criteria(), TUNING.self_motions, &control)?;
+        motions.retain(|motion| inliers(&matches, motion.isometry(), pair.criteria()).0 as f64 >= least);
         slot.get_or_init(|| motions.iter().map(|motion| *motion.isometry()).collect());
     }
     Ok(slot.get().map(Vec::as_slice).unwrap_or_default())
@@ -33,8 +40,6 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     // The row b nearest to a has the greatest a·b - |b|²/2.
     let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
     let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.self_matches).max(1)).collect();
-    let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
-    let products = all.tr_mul(&own);
     let nearest = |from: usize, products: DVectorView<f32>| {
         let mut best = (f32::NEG_INFINITY, None);
         for (to, (product, half_norm)) in products.iter().zip(&half_norms).enumerate() {
@@ -45,7 +50,12 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
         }
         best.1.map(|to| [from, to])
     };
-    chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect()
+    let matches = |chosen: &[usize]| {
+        let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
+        let products = all.tr_mul(&own);
+        chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect::<Vec<_>>()
+    };
+    chosen.chunks(CHUNK).flat_map(matches).collect()
 }
 
 #[cfg(test)]

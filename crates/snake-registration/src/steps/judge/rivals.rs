@@ -1,5 +1,5 @@
 //! Other answers that are tried on purpose: the winner after a turn, a reflection or a shift under
-//! which the clouds look alike, and after the motions under which the target looks like itself.
+//! which the clouds look alike, and after the motions under which one of them looks like itself.
 
 use nalgebra::{IsometryMatrix3, Translation3};
 use rayon::prelude::*;
@@ -25,7 +25,7 @@ use snake_geometry::Vector;
 enum Motion {
     Turn(Turn),
     Shift(Shift),
-    /// A motion under which the target looks like itself.
+    /// A motion under which one of the clouds looks like itself.
     Alike,
 }
 
@@ -92,10 +92,7 @@ impl Rival {
     pub(super) fn is_equal(&self) -> bool {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
-            Motion::Alike => {
-                let limit = TUNING.self_contradicted[usize::from(self.is_standing)];
-                return self.counts.contradicted_of_telling() <= limit;
-            }
+            Motion::Alike => return self.counts.contradicted_of_telling() <= TUNING.self_contradicted,
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
             Motion::Turn(_) => (lead, contradicted),
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
@@ -110,7 +107,7 @@ impl Rival {
     }
 
     /// Of the places that the winner explains, the share that this shift of it, or motion under which
-    /// the target looks like itself, explains too; 0 for turns.
+    /// a cloud looks like itself, explains too; 0 for turns.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
@@ -134,7 +131,7 @@ impl Rival {
                 let motion = self.transform * winner.inverse();
                 let (angle, slide) = (motion.rotation.angle().to_degrees(), self.moved);
                 format!(
-                    "ambiguous: the target looks like itself after a turn by {angle:.0} degrees that moves the source by \
+                    "ambiguous: the scene looks like itself after a turn by {angle:.0} degrees that moves the source by \
                      {slide:.3}, and the source fits there about as well"
                 )
             }
@@ -196,17 +193,18 @@ impl<'a, 'b> Fitting<'a, 'b> {
         Self { pair, winner, coarse, best_fit, is_standing }
     }
 
-    /// The winner after each motion under which the target looks like itself, and after its inverse.
+    /// The winner before or after each motion under which a cloud looks like itself, or its inverse.
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
-        let distance = self.pair.criteria().inlier_distance;
-        let least = distance * if self.is_standing { TUNING.min_shift } else { TUNING.min_self_motion };
+        let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
+        let motions = |cloud: usize| self_motions(self.pair.clouds()[cloud], self.pair.is_signed());
+        let of_source = motions(0)?.iter().flat_map(|motion| [winner * motion, winner * motion.inverse()]);
+        let of_target = motions(1)?.iter().flat_map(|motion| [motion * winner, motion.inverse() * winner]);
         let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
-        for motion in self_motions(self.pair.clouds()[1], self.pair.is_signed())? {
-            for guess in [motion * self.winner, motion.inverse() * self.winner] {
-                let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
-                if displacement(&guess, self.winner, &self.coarse) > least && guesses.iter().all(differs) {
-                    guesses.push(guess);
-                }
+        for guess in of_target.chain(of_source) {
+            let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
+            let is_elsewhere = displacement(&guess, winner, &self.coarse) > TUNING.elsewhere * distance;
+            if is_elsewhere && guesses.iter().all(differs) {
+                guesses.push(guess);
             }
         }
         Ok(guesses.into_iter().map(|guess| (Motion::Alike, guess)).collect())
@@ -219,7 +217,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let min_fit = match motion {
-            Motion::Alike => TUNING.self_fit[usize::from(self.is_standing)],
+            Motion::Alike => TUNING.self_fit,
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
