@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results fuzz
+.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results pictures fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -140,6 +140,11 @@ release-model: module  ## take a model that its recipe made into the repository:
 
 results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
 	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(BODIES),--bodies $(BODIES)) $(if $(SURFACES),--surfaces $(SURFACES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
+
+pictures: module  ## every picture of the pages: make pictures DATA=FOLDER (objects/ and scenes/); the page needs Chromium
+	cargo build --release --bin snake-cli
+	$(PYTHON) -m pip install --quiet pillow
+	PATH="$(CURDIR)/target/release:$$PATH" $(PYTHON) docs/pictures.py $(if $(DATA),--data $(DATA))
 
 dist: manylinux  ## target/dist: an archive of the program with completions, manual and licences, and the wheel
 	python3 tools/dist.py

@@ -15,14 +15,14 @@ from pathlib import Path
 
 RUNS = Path("target/results")
 PAGE = Path("docs/results.md")
-# What all methods cover: in units of the objects' radius, and in metres.
+# The coverage of all methods: in units of the objects' radius, and in metres.
 OBJECT_COVERAGE = "0.14"
 ROOM_COVERAGE = "0.197"
 # Pairs of scenes, evenly spaced, in repeatability, and in registration beyond the first folder of scenes.
 REPEATABILITY_PAIRS = 30
 MORE_PAIRS = 60
 CLASSICAL = "surface-variation,iss,harris3d,sift3d,fps,random"
-THRESHOLDS = "0.05", "0.08", "0.1"
+THRESHOLDS = "0.05", "0.1"
 BODIES = "annotated", "posed", "bent"
 PAPER_MODEL = Path("models/paper.safetensors")
 
@@ -30,12 +30,11 @@ HEADINGS = "Objects", "Landmarks", "Semantic consistency", "Reconstruction", "Sc
 
 INTRODUCTION = """# Results
 
-Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."`: do not edit it (`snake-cli eval repeatability
---help` lists the layouts of the folders).
+Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."` (`snake-cli eval repeatability --help` lists the
+layouts): do not edit it.
 
-Here: the 79 validation objects that chose nothing (`judge` of `python -m snake_training.data.halves`), and fragments of the 3DMatch
-benchmark. About a fifth of its pairs overlap by less than a tenth, or do not fit within 2 cm under the published transforms. They are
-left out, so these figures do not compare with published ones.
+Objects: the 79 of the validation that chose nothing (`judge` of `python -m snake_training.make halves`). Rooms: fragments of the 3DMatch
+benchmark, without the fifth of its pairs that overlap by less than a tenth or do not fit within 2 cm; published figures are of all pairs.
 
 The table of the README:
 
@@ -64,13 +63,17 @@ def one_number_a_cell(tables: str) -> str:
     return re.sub(r" ± standard deviation over \w+| ±\d+\.\d+", "", tables)
 
 
-def joined(tables: str) -> str:
-    """The tables of one evaluation of repeatability as one: a row a method, views that are not disturbed once."""
+def joined(tables: str, beyond: str = "") -> str:
+    """The tables of one evaluation of repeatability as one: a row a method, views that are not disturbed once.
+
+    Of the figures beyond chance, those at one ε."""
     columns: dict[str, dict[str, str]] = {}
     for table in re.findall(r"(?:^\|.*\n?)+", tables, re.MULTILINE):
         head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines())
         for i, name in enumerate(head):
-            if name not in ("method", "1 in 1", "σ 0"):
+            is_left_out = name.startswith("beyond ") and name != f"beyond ε {beyond}"
+            kept_out = ("method", "keypoints", "1 in 1", "σ 0", *([] if beyond else ["on flat places"]))
+            if not is_left_out and name not in kept_out:
                 columns[name] = {row[0]: row[i] for row in rows}
     methods = list(next(iter(columns.values())))
     rows = [["method", *columns]]
@@ -83,89 +86,81 @@ def objects_part(alike: tuple[dict, str], paper_tables: str) -> str:
     report, tables = alike
     return f"""## Objects
 
-Relative repeatability on {report["pairs"]} objects that were not trained on: the share of keypoints of one view that the
-other view, rotated at random and sampled anew, finds again within ε (in units of the object's radius). 5000 points and the
-best 64 keypoints of each view. `snake` is the model `compact`, `snakex4` the model `standard`. Coverage is the mean distance
-from the points of the first view to the nearest keypoint, in the same units.
+Relative repeatability on {report["pairs"]} objects: the share of keypoints of one view that the other view, rotated at random and sampled
+anew, finds again within ε (in units of the object's radius), with 5000 points and the best 64 keypoints of each view. `snake` is
+`compact`, `snakex4` is `standard`. Coverage is the mean distance from the points to the nearest keypoint. Each method keeps its keypoints
+as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Thinned (1 in N) and noisy (σ) views are
+at ε 0.04:
 
-Each method keeps its keypoints as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Views
-that are thinned (1 in N) or noisy (σ) are at ε 0.04:
+{joined(tables, "0.04")}
+Beyond chance, 0 is what random points of the other view would find, as many as it has keypoints. On a flat place, the least of three
+eigenvalues of the neighbourhood is below 1 % of their sum.
 
-{joined(tables)}
 ![the same as curves](repeatability.svg)
 
 ### The paper's protocol
 
-The paper's suppression of 0.01 lets keypoints cluster at a place, where they find each other again more easily: compare the
-coverage. [The paper's own figures](reproduce.md#repeatability) are of other objects.
+The paper's suppression of 0.01 lets keypoints cluster, and then they repeat more easily: compare the coverage.
+[The paper's own figures](reproduce.md#repeatability) are of other objects.
 
 {joined(paper_tables)}"""
 
 
 def shares(tables: str) -> str:
     """The table with the share of the landmarks that are found, of those of an evaluation."""
-    return re.search(r"^Share of annotated[^\n]*\n\n(\|[^\n]*\n)+", tables, re.MULTILINE)[0]
+    found = re.search(r"^Share of annotated[^\n]*\n\n(\|[^\n]*\n)+", tables, re.MULTILINE)[0]
+    return re.sub(r"^(\|.*\|)[^|]*\|$", r"\1", found, flags=re.MULTILINE)  # without the number of keypoints
 
 
 def landmarks_part(tables: str) -> str:
     return f"""## Landmarks
 
-200 procedural shapes that know their corners, tips and ends (`python -m snake_training.data.landmarks`), all methods at the
-coverage {OBJECT_COVERAGE}: the share of these places that have a keypoint within a threshold.
+200 procedural shapes that know their corners, tips and ends (`python -m snake_training.make landmarks`), all methods at the
+coverage {OBJECT_COVERAGE}.
 
 {shares(tables)}"""
 
 
-def consistency(reports: list[dict], *kinds: tuple[str, str]) -> str:
-    """One table of reports of semantic consistency, a row a method; kinds: names of figures in the report and of their columns."""
-    rows = [["method", *(f"{title} {threshold}" for _, title in kinds for threshold in THRESHOLDS), "keypoints"]]
-    for report in reports:
-        for row in (row for row in report["rows"] if row["class"] is None):
-            figures = [f"{value:.3f}" for key, _ in kinds for value in row[key]]
-            rows.append([row["method"], *figures, f"{row['keypoints']:.1f}"])
-    head, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
-    return "".join([head, f"|{'---|' * len(rows[0])}\n", *lines])
+def consistency(reports: dict[str, list[dict]], *kinds: tuple[str, str, str]) -> str:
+    """A table of reports of semantic consistency, a row a method; kinds: set of bodies, figure of its reports, title of the columns."""
+    kinds = tuple(kind for kind in kinds if reports[kind[0]])
+    columns = [f"{title} {threshold}" for _, _, title in kinds for threshold in THRESHOLDS]
+    rows: dict[str, list[str]] = {}
+    for name, figure, _ in kinds:
+        for row in (row for report in reports[name] for row in report["rows"] if row["class"] is None):
+            rows.setdefault(row["method"], []).extend(f"{value:.3f}" for value in row[figure])
+    lines = [
+        f"| {' | '.join(cells)} |\n" for cells in [["method", *columns], *([name, *row] for name, row in rows.items())]
+    ]
+    return "".join([lines[0], f"|{'---|' * (1 + len(columns))}\n", *lines[1:]])
 
 
-def bodies_part(annotated: list[dict], posed: list[dict], bent: list[dict]) -> str:
-    pairs = ("strict", "mIoU"), ("paper", "released")
-    text = f"""## Semantic consistency
+def bodies_part(reports: dict[str, list[dict]]) -> str:
+    annotated, posed, bent = (reports[name][0]["shapes"] if reports[name] else 0 for name in BODIES)
+    kinds = ("annotated", "strict", "annotated"), ("annotated", "recall", "found"), ("posed", "strict", "posed")
+    return f"""## Semantic consistency
 
-Made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
-(`python -m snake_training.data.bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is the network of the
-paper's size, `make models/paper.safetensors`. [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
+The mIoU of made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
+(`python -m snake_training.make bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is
+[that model](../models/README.md#paper). [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
 
-### Annotated places
+- annotated: {annotated} shapes of 8 classes in random poses and proportions, 2048 points each, with annotated tips, ends and corners; the box
+  around a shape has the diagonal 1. mIoU counts every other keypoint as false; found is the share of annotations with a keypoint. Distances
+  are geodesic.
+- posed: {posed} pairs of such bodies in two poses and of proportions that differ by up to 15 %, with the same 2048 points of the surface; the
+  first has the radius 1. The best 20 keypoints of one body are carried to the other.
+{f"- bent: {bent} pairs of a validation object and a bent, twisted copy, in the same way." if bent else ""}
 
-{annotated[0]["shapes"]} shapes of 8 classes in random poses and proportions (aeroplanes, birds, chairs, hands, insects, lamps, persons,
-quadrupeds), 2048 points each, of which tips, ends and corners are annotated. The box around a shape has the diagonal 1. mIoU counts every
-keypoint away from these places as false; found is the share of the places that have a keypoint. Distances are geodesic.
-
-{consistency(annotated, ("strict", "mIoU"), ("recall", "found"))}
-### Two poses
-
-{posed[0]["shapes"]} pairs of such bodies in two poses and of proportions that differ by up to 15 %, aeroplanes of quite other ones. The
-same 2048 places of the surface are the points of both; the first has the radius 1. The best 20 keypoints of one body are carried to
-the other. "Released" is the rule of the paper's released code: random points fill up 20, and the running IoU is averaged.
-
-{consistency(posed, *pairs)}"""
-    if bent:
-        text += f"""
-### Bent animals and characters
-
-{bent[0]["shapes"]} pairs of a validation object and a bent, twisted copy, in the same way.
-
-{consistency(bent, *pairs)}"""
-    return text
+{consistency(reports, *kinds, ("bent", "strict", "bent"))}"""
 
 
 def surfaces_part(table: str, objects: str) -> str:
     return f"""## Reconstruction
 
-The surface of the field of `compact` beside that of Open3D's Poisson reconstruction, on {objects} objects that chose nothing. A method sees
-5000 points, or 625, or 5000 with noise, and its mesh is compared with all 8192 points of the object (radius 1): accuracy is the mean
-distance from the mesh to the nearest point, completeness that from a point to the mesh, F the harmonic mean of the shares that are
-nearer than 0.02 and 0.05. `middle` is the default of `snake-cli reconstruct`, `level` the surface of the paper.
+The surface of the field of `compact` beside Open3D's Poisson reconstruction, on {objects} objects. A method sees 5000 points, or 625, or 5000
+with noise; its mesh is compared with all 8192 points (radius 1). Accuracy is the mean distance from the mesh to the nearest point,
+completeness that from a point to the mesh, F the harmonic mean of the shares that are nearer than 0.02 and 0.05. `middle` is the default
+of `snake-cli reconstruct`, `level` the surface of the paper.
 
 ```sh
 python -m snake_training.reconstruction OBJECTS --methods middle level poisson --downsample 8 --noise 0.03
@@ -194,7 +189,7 @@ def registration(report: dict, tables: str) -> str:
 {shown}"""
 
 
-def scenes_part(rooms: tuple[dict, str], registrations: list[tuple[dict, str]]) -> str:
+def scenes_part(rooms: tuple[dict, str], by_default: str, registrations: list[tuple[dict, str]]) -> str:
     report, tables = rooms
     more = "".join(f"\n### Registration, more scenes\n\n{registration(*one)}" for one in registrations[1:])
     return f"""## Scenes
@@ -203,18 +198,20 @@ Real clouds with known transforms, in metres. `snake` is the model `scenes`, whi
 
 ### Repeatability on scenes
 
-10240 points of each cloud, the best 64 keypoints, {report["pairs"]} evenly spaced pairs of the first folder; ε in metres. Each method keeps
-its keypoints as far apart as makes its coverage {ROOM_COVERAGE} m.
+10240 points of each cloud, the best 64 keypoints, {report["pairs"]} pairs; each method at the coverage {ROOM_COVERAGE} m.
 
-{joined(tables)}
+{joined(tables, "0.1")}
 ![the same as curves](repeatability-scenes.svg)
 
+All that each method finds by default, of all points: `snake` keeps keypoints of a confidence of 0.21 and more (`--min-confidence`), as
+flat walls and tables have them below.
+
+{joined(by_default, "0.1")}
 ### Registration
 
-By the rules of the 3DMatch benchmark, clouds reduced to voxels of 3 cm: correspondences are mutual nearest neighbours, right
-within 0.1 m; a pair matches with more than 0.05 of them right; RANSAC (0.05 m, edges 0.9, 50 000 samples, no ICP) registers
-it with an RMSE of at most 0.2 m over the overlap. A detector that finds fewer keypoints than a column asks for has its
-figures of all that it finds there. [`snake-cli register`](registration.md) matches every voxel instead, and does better.
+By the rules of the 3DMatch benchmark, clouds reduced to voxels of 3 cm: correspondences are mutual nearest neighbours, right within 0.1 m;
+a pair matches with more than 0.05 of them right; RANSAC (0.05 m, edges 0.9, 50 000 samples, no ICP) registers it with an RMSE of at most
+0.2 m over the overlap. [`snake-cli register`](registration.md) matches every voxel instead, and does better.
 
 {registration(*registrations[0])}{more}"""
 
@@ -243,8 +240,8 @@ def page(parts: dict[str, str], before: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--objects", help="corpus folder, or any folder of clouds")
-    parser.add_argument("--landmarks", help="folder of python -m snake_training.data.landmarks")
-    parser.add_argument("--bodies", help="folder of python -m snake_training.data.bodies")
+    parser.add_argument("--landmarks", help="folder of python -m snake_training.make landmarks")
+    parser.add_argument("--bodies", help="folder of python -m snake_training.make bodies")
     parser.add_argument("--surfaces", help="corpus folder, for the part on reconstruction")
     parser.add_argument(
         "--scenes", nargs="+", default=[], help="folders with pairs.json; of those after the first 60 pairs"
@@ -261,7 +258,16 @@ def main() -> None:
         objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
         alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--coverage", OBJECT_COVERAGE)
-        few = [*methods, "--epsilon", "0.04", "--downsample", "1,8", "--noise", "0,0.06"]
+        few = [
+            "--methods",
+            "snake,snakex4,surface-variation,iss",
+            "--epsilon",
+            "0.04",
+            "--downsample",
+            "1,8",
+            "--noise",
+            "0,0.06",
+        ]
         _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
         parts["Objects"] = objects_part(alike, paper)
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
@@ -270,35 +276,23 @@ def main() -> None:
         parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *compact, *few)[1])
     if arguments.bodies:
         few = ["--threshold", ",".join(THRESHOLDS), *(["--limit", str(arguments.limit)] if arguments.limit else [])]
-        sets = [bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES]
-        parts["Semantic consistency"] = bodies_part(*sets)
+        sets = {name: bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES}
+        parts["Semantic consistency"] = bodies_part(sets)
     if arguments.surfaces:
         parts["Reconstruction"] = surfaces(arguments.surfaces)
     if arguments.scenes:
         scenes = ["--model", "scenes"]
-        pairs = [
-            arguments.scenes[0],
-            *scenes,
-            "--epsilon",
-            "0.1,0.16,0.2,0.24",
-            "--methods",
-            f"snake,{CLASSICAL}",
-            *undisturbed,
-            "--limit",
-            str(REPEATABILITY_PAIRS),
-        ]
+        words = ["--epsilon", "0.05,0.1,0.16,0.24", "--table-epsilon", "0.1", "--methods", f"snake,{CLASSICAL}"]
+        pairs = [arguments.scenes[0], *scenes, *words, *undisturbed, "--limit", str(REPEATABILITY_PAIRS)]
         repeatability = evaluate("scenes", "repeatability", *pairs, "--coverage", ROOM_COVERAGE)
+        all_points = ["--max-keypoints", "256", "--num-points", "1000000"]
+        _, by_default = evaluate("scenes-default", "repeatability", *pairs, *all_points)
         registrations = []
         for number, folder in enumerate(arguments.scenes):
-            few = [
-                "--descriptors",
-                "fpfh",
-                "--max-keypoints",
-                "500,250,100",
-                *(["--limit", str(MORE_PAIRS)] if number else []),
-            ]
+            few = ["--descriptors", "fpfh", "--max-keypoints", "500,250,100"]
+            few += ["--limit", str(MORE_PAIRS)] if number else []
             registrations.append(evaluate(f"scenes-{number}", "registration", folder, *scenes, *few))
-        parts["Scenes"] = scenes_part(repeatability, registrations)
+        parts["Scenes"] = scenes_part(repeatability, by_default, registrations)
         shutil.copy(RUNS / "scenes/repeatability.svg", PAGE.with_name("repeatability-scenes.svg"))
     PAGE.write_text(page(parts, PAGE.read_text() if PAGE.exists() else ""))
 

@@ -36,7 +36,7 @@ on_surface, far_away = field.occupancy(points).mean(), field.occupancy(points + 
 saliency, gradient = field.saliency_and_gradient(keypoints.points)
 print(f"5. occupancy {on_surface:.2f} on the points, {far_away:.2f} off them; the gradients are {gradient.shape}")
 
-# 6. A second view of the plane has other points, a rotation and a translation. Are its keypoints at the same places?
+# 6. A second view of the plane has other points, a rotation and a translation. Are its keypoints at the same points?
 angle = np.radians(20)
 t_2_1 = np.eye(4)  # maps view 1 to view 2
 t_2_1[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]

@@ -1,6 +1,6 @@
-"""Writes the made clouds of this folder: python samples/generate.py. Needs NumPy.
+"""Writes the made clouds of this folder: python samples/generate.py. Needs the package of training/.
 
-`room/1.ply` to `room/3.ply` are scans of one furnished room from three places, each in the frame of its scanner. `sweep.ply` is a
+`room/1.ply` to `room/3.ply` are scans of one furnished room from three positions, each in the frame of its scanner. `sweep.ply` is a
 turn of a LiDAR with 32 beams in a street. All are cast from boxes, with noise, from fixed seeds; in metres. `plane.ply` is of
 another origin (see models/DATA.md).
 """
@@ -9,53 +9,39 @@ from pathlib import Path
 
 import numpy as np
 
+from snake_training.data.solids import CUBE, ROOM, Solids, about_axis, directions, scan
+
 FOLDER = Path(__file__).parent
 SEED = 24
 
 
-def box(center, size, degrees=0.0):
-    """A box that stands about its centre, turned about z: centre, half of its size, and the angle in radians."""
-    return np.asarray(center, float), np.asarray(size, float) / 2, np.radians(degrees)
+def box(center, size, degrees=0.0, kind=CUBE):
+    """A row of `Solids`: a box that stands about its centre, turned about z."""
+    return (
+        kind,
+        np.asarray(center, float),
+        about_axis(2, np.radians(degrees)) * (np.asarray(size, float) / 2),
+        0.0,
+        False,
+    )
 
 
-def about_z(points, angle):
-    """Points or directions (N, 3), rotated about z."""
-    c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+def turn(elevations, columns):
+    """Unit vectors (N, 3) of a turn: one of each elevation, in degrees, in each column."""
+    return directions(np.radians(elevations), np.arange(columns) / columns * 2 * np.pi, "ij")
 
 
-def ranges(boxes, origin, directions):
-    """The distance to the first surface along each of the directions (N, 3); infinite where there is none."""
-    nearest = np.full(len(directions), np.inf)
-    for center, half, angle in boxes:
-        start, along = about_z(origin - center, -angle), about_z(directions, -angle)
-        with np.errstate(divide="ignore"):
-            planes = np.stack([(-half - start) / along, (half - start) / along])
-        enters, leaves = planes.min(axis=0).max(axis=1), planes.max(axis=0).min(axis=1)
-        # From inside of a box, the surface is where the ray leaves.
-        surface = np.where(enters > 0, enters, leaves)
-        nearest = np.where((enters <= leaves) & (surface > 0), np.minimum(nearest, surface), nearest)
-    return nearest
-
-
-def directions(elevations, columns):
-    """Unit vectors (N, 3) of a turn: one of each elevation in each column."""
-    elevation, azimuth = np.meshgrid(np.radians(elevations), np.arange(columns) / columns * 2 * np.pi, indexing="ij")
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
-
-
-def scan(boxes, origin, degrees, rays, farthest, noise, rng):
-    """The points (N, 3) that a scanner sees, in its own frame; it stands at the origin, turned about z."""
-    distance = ranges(boxes, np.asarray(origin), about_z(rays, np.radians(degrees)))
-    seen = distance < farthest
-    return rays[seen] * (distance[seen] + rng.normal(0, noise, seen.sum()))[:, None]
+def scanned(boxes, origin, degrees, rays, farthest, noise, rng):
+    """The points (N, 3) of a scanner in its own frame; it stands at the origin, turned about z."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = about_axis(2, np.radians(degrees)), origin
+    return scan(Solids(boxes), pose, rays, noise, farthest, rng)
 
 
 def furnished_room(rng):
     """A room of 4.8 x 3.6 x 2.5 m with a doorpost, a shelf, a table with chairs, and smaller boxes on what stands there."""
     boxes = [
-        box([2.4, 1.8, 1.25], [4.8, 3.6, 2.5]),
+        box([2.4, 1.8, 1.25], [4.8, 3.6, 2.5], kind=ROOM),
         box([4.7, 0.9, 1.05], [0.2, 0.9, 2.1]),
         box([1.6, 3.4, 0.9], [1.5, 0.4, 1.8]),
     ]
@@ -97,12 +83,12 @@ def write_ply(path, points):
 def main():
     rng = np.random.default_rng(SEED)
     room = furnished_room(rng)
-    rays = directions(np.linspace(-65, 65, 44), 106)
+    rays = turn(np.linspace(-65, 65, 44), 106)
     for number, (origin, degrees) in enumerate(
         [([0.9, 1.6, 1.6], 0), ([1.5, 2.4, 1.7], 50), ([2.3, 2.6, 1.6], 160)], 1
     ):
-        write_ply(FOLDER / f"room/{number}.ply", scan(room, origin, degrees, rays, 20, 0.003, rng))
-    sweep = scan(street(rng), [0, 0, 1.8], 0, directions(np.linspace(-24, 7, 32), 216), 70, 0.01, rng)
+        write_ply(FOLDER / f"room/{number}.ply", scanned(room, origin, degrees, rays, 20, 0.003, rng))
+    sweep = scanned(street(rng), [0, 0, 1.8], 0, turn(np.linspace(-24, 7, 32), 216), 70, 0.01, rng)
     write_ply(FOLDER / "sweep.ply", sweep)
 
 

@@ -14,6 +14,8 @@ sys.path.insert(0, str(BENCH))
 
 import made_pairs
 
+from snake_training.data.solids import CUBE, Solids
+
 
 def moved(t, points):
     return points @ t[:3, :3].T + t[:3, 3]
@@ -59,7 +61,8 @@ def test_parts_of_objects_have_a_plane_a_pose_and_an_overlap(folder):
 
 def test_a_sweep_sees_the_nearest_surface_of_each_ray():
     # A wall across the x axis, 20 m away, and nothing else but the ground.
-    wall, pose = np.array([[20.0, -50, 0, 21, 50, 30]]), np.eye(4)
+    wall, pose = Solids(), np.eye(4)
+    wall.add(CUBE, [20.5, 0, 15], [0.5, 50, 15])
     pose[:3, 3] = [0, 0, 1.8]
     points = made_pairs.sweep(wall, pose, np.random.default_rng(0))
     ground, ahead = np.abs(points[:, 2] + 1.8) < 0.15, np.abs(points[:, 0] - 20) < 0.15

@@ -1,4 +1,4 @@
-"""What the first command, the tests and the Python module compile is the same where it can be."""
+"""The first command, the tests and the Python module compile the same where they can."""
 
 import json
 import os

@@ -22,7 +22,7 @@ def test_every_block_of_code_is_a_part_of_an_example():
 
 
 COMMANDS = re.findall(r"^cargo run --release -p \S+(?: --features \S+)? --example \S+(?: -- .*)?$", PAGE, re.MULTILINE)
-# What an example prints, where it shows that the example did its work.
+# The output of an example, where it shows that the example did its work.
 PRINTED = {
     "pointcloud2": "400 points skipped",
     "realtime_loop": "p99",
@@ -55,7 +55,7 @@ def test_every_command_names_the_crate_and_the_features_of_its_example(command):
     assert (required and required[1]) == features
 
 
-# Those of snake-interop are run by its own test `examples`, in `make check`.
+# The test `examples` of snake-interop runs its examples, in `make check`.
 @pytest.mark.parametrize("command", [command for command in COMMANDS if "snake-interop" not in command])
 def test_every_example_runs(command, examples, tmp_path):
     name = name_of(command)
@@ -64,8 +64,8 @@ def test_every_example_runs(command, examples, tmp_path):
         "mcap_replay": ["tests/data/io/drive.mcap", str(tmp_path / "keypoints.mcap")],
     }
     if name == "tracks":
-        pytest.importorskip("snake_training.data.drives", reason="pip install ./training").main(
-            ["-o", str(tmp_path), "--drives", "1", "--sweeps", "3", "--step", "1"]
+        pytest.importorskip("snake_training.make", reason="pip install ./training").main(
+            ["drives", "-o", str(tmp_path), "--drives", "1", "--sweeps", "3", "--step", "1"]
         )
         arguments["tracks"] = [str(tmp_path)]
     # The command line has the feature mcap, so that its example is compiled with the others.

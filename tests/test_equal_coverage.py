@@ -63,7 +63,7 @@ def test_keypoints_of_files_are_ranked_by_their_scores(compiled, pair):
 
 
 def test_keypoints_of_files_are_in_the_frame_of_far_clouds(compiled, tmp_path):
-    """Of georeferenced clouds, too, all points that are keypoints are found again."""
+    """All points that are keypoints are found again, in georeferenced clouds too."""
     points = snake_rs.read_points("samples/plane.ply").astype(np.float64)
     (tmp_path / "found").mkdir()
     for name, shift in (("a", [5e5, 5e6, 100]), ("b", [5e5, 5e6 + 1, 100])):
@@ -93,7 +93,7 @@ def test_files_that_are_wrong_are_named(compiled, pair):
 
 
 def test_semantic_suppresses_until_keypoints_cover_as_asked(compiled, tmp_path):
-    """Of points on a line every ninth is a keypoint, as of the second body, whose keypoints are no more than these."""
+    """Every ninth point on a line is a keypoint, on both bodies; the second has no more than these."""
     line = np.zeros((101, 3), np.float32)
     line[:, 0] = np.arange(101)
     for body, step in ((1, 1), (2, 9)):

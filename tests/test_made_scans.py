@@ -1,4 +1,4 @@
-"""Registration of made scans, and of the real sweeps of `../shared/data` where they are: true priors, places that repeat."""
+"""Registration of made scans, and of the real sweeps of `../shared/data` where they are: true priors, scenes that repeat."""
 
 import itertools
 import json
@@ -15,7 +15,7 @@ SWEEPS = ROOT.parent / "shared" / "data" / "sweeps"
 
 def made_pairs(generate):
     """Pairs of scans of two furnished rooms: source, target, and the true `t_target_source` (4, 4). Up is z, the sensor the origin."""
-    rays = generate.directions(np.linspace(-60, 40, 60), 180)
+    rays = generate.turn(np.linspace(-60, 40, 60), 180)
     pairs = []
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -24,7 +24,7 @@ def made_pairs(generate):
             pose = np.eye(4)
             c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
             pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], origin
-            scans.append((generate.scan(room, origin, degrees, rays, 8, 0.004, rng).astype(np.float32), pose))
+            scans.append((generate.scanned(room, origin, degrees, rays, 8, 0.004, rng).astype(np.float32), pose))
         for (source, from_source), (target, from_target) in itertools.combinations(scans, 2):
             pairs.append((source, target, np.linalg.inv(from_target) @ from_source))
     return pairs
@@ -45,7 +45,7 @@ PRIORS = {
 
 
 def counts(pairs, limit, prior):
-    """Of the pairs: those that are right, within a limit (metres) and 5 degrees, and those of them that are reliable."""
+    """The numbers of pairs that are right, within a limit (metres) and 5 degrees, and of right pairs that are reliable."""
     right = reliable = 0
     for source, target, truth in pairs:
         result = snake_rs.register(source, target, **prior)
@@ -81,17 +81,17 @@ def fence(box):
 
 
 @pytest.mark.parametrize(
-    "place, columns, metres",
+    "scene, columns, metres",
     [
         *((windows, 500, metres) for metres in (1.05, 1.5, 3.0)),
-        # The first two put the sensors at one place, where their rays coincide on the ground.
+        # The first two put the sensors at one point, where their rays coincide on the ground.
         *((fence, 800, metres) for metres in (1.2, 2.15, 2.65)),
     ],
 )
-def test_places_that_repeat_are_ambiguous_wherever_the_sensor_stood(place, columns, metres, generate):
-    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), *place(generate.box)]
-    rays, rng = generate.directions(np.linspace(-45, 45, 48), columns), np.random.default_rng(0)
-    source, target = (generate.scan(boxes, [x, 0, 1.4], 0, rays, 14, 0.008, rng) for x in (0, metres))
+def test_places_that_repeat_are_ambiguous_wherever_the_sensor_stood(scene, columns, metres, generate):
+    boxes = [generate.box([0, 0, -0.1], [80, 30, 0.2]), *scene(generate.box)]
+    rays, rng = generate.turn(np.linspace(-45, 45, 48), columns), np.random.default_rng(0)
+    source, target = (generate.scanned(boxes, [x, 0, 1.4], 0, rays, 14, 0.008, rng) for x in (0, metres))
     result = snake_rs.register(source, target)
     assert not result.verdict.is_reliable and result.verdict.is_ambiguous
     assert any("repeats itself" in note for note in result.verdict.notes)

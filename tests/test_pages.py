@@ -1,4 +1,4 @@
-"""What the pages say is so: commands and examples run as they stand, links lead somewhere, and a page stays short.
+"""The pages are true: commands and examples run as they stand, links lead somewhere, and a page stays short.
 
 A command of ours runs in a folder where every input that it names exists: files of the repository, and copies of samples under all
 other names. A command whose data only the reader has names it in CAPITALS: its options are checked, and it runs until it misses the
@@ -121,7 +121,7 @@ def test_command_runs(command, compiled, folder):
 
 
 def test_commands_of_the_readme_run_as_they_stand(compiled, tmp_path):
-    """In a fresh clone, one after another, without any file that the repository lacks."""
+    """They run one after another, with the files of a fresh clone alone."""
     tracked = subprocess.run(["git", "ls-files", "samples"], cwd=ROOT, capture_output=True, text=True, check=True)
     for name in tracked.stdout.split():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -156,11 +156,14 @@ def test_target_exists(command):
 
 
 @cache
-def help_of(program: str) -> str:
-    """The help of a module or of the script of a path, in this process: each process would import PyTorch again."""
+def help_of(program: str, *kind: str) -> str:
+    """The help of a module or of the script of a path, in this process: each process would import PyTorch again.
+
+    kind: of the data that `snake_training.make` makes.
+    """
     run = runpy.run_path if program.endswith(".py") else runpy.run_module
     with (
-        mock.patch.object(sys, "argv", [program, "--help"]),
+        mock.patch.object(sys, "argv", [program, *kind, "--help"]),
         mock.patch.object(sys, "path", [str(Path(program).parent), *sys.path]),  # as Python does for a script
         contextlib.redirect_stdout(io.StringIO()) as printed,
         warnings.catch_warnings(action="ignore", category=RuntimeWarning),  # the module is imported already
@@ -181,7 +184,8 @@ def test_options_of_python_exist(command):
         found = [folder / words[1] for folder in (ROOT, ROOT / "training") if (folder / words[1]).is_file()]
         assert found, f"{words[1]} is not in the repository"
         program = str(found[0])
-    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program)]), unknown
+    kind = words[3:4] if program == "snake_training.make" else []
+    assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program, *kind)]), unknown
 
 
 CHECKED = ("snake-cli", "make", "python", "python3", "cargo", "pip")

@@ -332,7 +332,7 @@ def sampling(pair):
     expected, _ = slopes(lambda queries: reference.interpolate(volume, queries, config), queries)
     _, (gradient,) = slopes(lambda queries: reference.interpolate(volume, queries, config) * in_features, queries)
     queries = queries.detach()[0]
-    # A place among 31 voxels has an error of 2e-6 of a voxel, by which the features of two voxels differ.
+    # A position among 31 voxels has an error of 2e-6 of a voxel, by which the features of two voxels differ.
     assert near(snake_rs.steps.interpolate(model, volume[0], queries), expected[0], 5e-6)
     found = snake_rs.steps.interpolate_gradient(model, volume[0], queries, in_features[0])
     assert near(found, gradient[0], 5e-6)
@@ -416,13 +416,13 @@ def output(function, share):
     return lambda *arguments: function(*arguments) * (1 + share)
 
 
-def argument(place, share):
+def argument(index, share):
     """Makes a function take one of its arguments larger by a share."""
 
     def change(function, _):
         def changed(*arguments):
             arguments = list(arguments)
-            arguments[place] = arguments[place] * (1 + share)
+            arguments[index] = arguments[index] * (1 + share)
             return function(*arguments)
 
         return changed
@@ -456,10 +456,10 @@ CHANGES = [
 ]
 
 
-@pytest.mark.parametrize(("step", "place", "names", "change", "share"), CHANGES)
-def test_a_step_that_is_one_percent_off_is_seen(pair, monkeypatch, step, place, names, change, share):
+@pytest.mark.parametrize(("step", "owner", "names", "change", "share"), CHANGES)
+def test_a_step_that_is_one_percent_off_is_seen(pair, monkeypatch, step, owner, names, change, share):
     for name in names:
-        monkeypatch.setattr(place, name, change(getattr(place, name), share))
+        monkeypatch.setattr(owner, name, change(getattr(owner, name), share))
     with pytest.raises(AssertionError):
         (STEPS | WHOLE)[step](pair)
 

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "samples/plane.ply"
-# What the script does that pip makes of the entry point.
+# The script that pip makes of the entry point.
 COMMAND = [sys.executable, "-c", "import sys; from snake_rs._command import main; sys.exit(main())"]
 
 
@@ -46,7 +46,7 @@ def test_it_has_all_formats(tmp_path):
 def test_ctrl_c_ends_it_as_the_program(tmp_path):
     wait = tmp_path / "cloud.xyz"
     os.mkfifo(wait)
-    # What a shell runs in the background ignores the signal.
+    # A shell's background process ignores the signal.
     heard = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {COMMAND[2]}"
     with subprocess.Popen([*COMMAND[:2], heard, "detect", wait], stderr=subprocess.PIPE) as running:
         with open(wait, "w"):  # opens when the command reads it

@@ -297,7 +297,7 @@ def test_keypoints_have_descriptors_that_match(keypoints):
     assert np.array_equal(keypoints[2:5].descriptors, rows[2:5])
     assert np.array_equal(pickle.loads(pickle.dumps(keypoints)).descriptors, rows)
     pairs = snake_rs.match(keypoints, keypoints)
-    # Of keypoints in one voxel, which have one descriptor, the first matches.
+    # Keypoints in one voxel have one descriptor, and the first of them matches.
     different = np.sort(np.unique(rows, axis=0, return_index=True)[1])
     assert len(different) > 60 and pairs.dtype == np.int64
     assert np.array_equal(pairs, np.stack([different, different], axis=1))

@@ -45,7 +45,7 @@ def test_outliers_are_named_and_change_no_keypoint(outliers):
 
 
 def sky(kind: str, seed: int = 0) -> np.ndarray:
-    """What splats and photogrammetry have about a scene of size 1."""
+    """Sky and floaters, as splats and photogrammetry have them about a scene of size 1."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
@@ -71,7 +71,7 @@ def test_keypoints_are_on_the_scene_below_its_sky_and_floaters(kind):
     with pytest.warns(UserWarning, match="sky, floaters or other outliers, left out"):
         found = snake_rs.detect(dirty, "compact")
     distances = np.linalg.norm(found.points[:, None] - clean[None], axis=2).min(axis=1)
-    # Of a power law many floaters lie next to the scene, and stay: they draw most keypoints of `compact` (its card says so).
+    # Many floaters of a power law lie next to the scene, and stay: they draw most keypoints of `compact` (its card says so).
     assert len(found) > 10 and (distances < 0.05).mean() > (0.1 if kind == "power law" else 0.9)
 
 
@@ -101,6 +101,21 @@ def test_outliers_in_either_cloud_change_no_transform(outliers):
     assert any(note.startswith(f"source: {len(outliers)} of") for note in found.verdict.notes)
     both = snake_rs.register(mixed(source, outliers), mixed(target, outliers))
     assert np.array_equal(both.t_target_source, expected.t_target_source)
+
+
+@pytest.mark.parametrize("kind", ["0 0 0", "one depth"])
+def test_missing_returns_are_left_out_alike_by_detection_and_registration(kind):
+    clean = bowl() + [6, 1, 0]
+    rows = {"0 0 0": np.zeros((5000, 3)), "one depth": np.c_[bowl(seed=2)[:, :2] * 40, np.full(5000, 65.535)]}[kind]
+    dirty = np.stack([clean, rows], axis=1).reshape(-1, 3)
+    with pytest.warns(UserWarning, match="^5000 of 10000 points .*left out"):
+        found = snake_rs.detect(dirty)
+    expected = snake_rs.detect(clean)
+    assert np.array_equal(found.points, expected.points) and found.num_skipped == 5000
+    assert np.array_equal(dirty[found.nearest_index], clean[expected.nearest_index])
+    registered = [snake_rs.register(source, bowl(seed=1)) for source in (clean, dirty)]
+    assert np.array_equal(registered[0].t_target_source, registered[1].t_target_source)
+    assert any(note.startswith("source: 5000 of 10000 points") for note in registered[1].verdict.notes)
 
 
 @pytest.mark.parametrize("name", ["iss", "harris3d", "sift3d", "surface_variation"])
@@ -158,7 +173,7 @@ def test_a_georeferenced_cloud_with_missing_returns_at_zero_keeps_its_digits():
 
 
 def test_large_numbers_are_refused_or_work(tmp_path):
-    """In a process of its own with 6 GB, which an abort would end."""
+    """The call runs in a process of its own with 6 GB, which an abort would end."""
     code = """
 import resource
 import numpy as np

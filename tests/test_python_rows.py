@@ -1,4 +1,4 @@
-"""What Ray maps over rows, without a cluster: an error is that of its row alone, and what may pass is tried again."""
+"""Functions that Ray maps over rows, without a cluster: a row's error stays its own, and a temporary fault is tried again."""
 
 import contextlib
 import http.server

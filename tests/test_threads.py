@@ -40,7 +40,7 @@ def in_a_child(work):
 
 
 def run(code, seconds=60):
-    """What a process of its own prints that runs SETUP and the code; it must end well within the time."""
+    """The output of a new process that runs SETUP and the code; it must end well within the time."""
     command = [sys.executable, "-c", SETUP + textwrap.dedent(code)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True

@@ -32,7 +32,7 @@ def test_notebook():
     stored = results(notebook)
     nbclient.NotebookClient(notebook, timeout=60, resources={"metadata": {"path": NOTEBOOK.parent}}).execute()
     made = results(notebook)
-    # What the repository shows is what a reader gets, but for last bits and seconds.
+    # A reader gets the outputs of the repository, but for last bits and seconds.
     rounded = [[re.sub(r"[\d.]+(e-\d+)?", "#", data["text/plain"]) for data in outputs] for outputs in (stored, made)]
     assert rounded[0] == rounded[1] and stored[0]["text/plain"] == made[0]["text/plain"], "execute the notebook anew"
     text = NOTEBOOK.read_text(encoding="utf-8")

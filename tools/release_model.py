@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 BUILT_IN = "compact", "scenes"
 PART = 4_900_000  # bytes: a larger file lies here in parts
-# What a built-in model's weights decide.
+# Files that a built-in model's weights decide.
 GOLDEN = {
     "compact": [[sys.executable, "tests/data/compact_fields.py"]],
     "scenes": [],

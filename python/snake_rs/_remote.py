@@ -20,7 +20,7 @@ _PAUSES = (0.5, 1.0, 2.0)
 _TRANSIENT_STATUS = (408, 425, 429)
 _TRANSIENT_ERRNO = (errno.EAGAIN, errno.EBUSY, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT)
 
-# What a server says of the content of a file, the most precise first.
+# Headers of a server that tell versions of a file apart, the most precise first.
 _VERSIONS = ("ETag", "Content-MD5", "Digest", "Last-Modified", "LastModified")
 
 

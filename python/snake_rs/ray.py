@@ -52,7 +52,7 @@ _KEYPOINT = pa.struct(
         ("confidence", pa.float32()),
     ]
 )
-# What `DetectClouds` and `RegisterPairs` add beside the error.
+# Columns that `DetectClouds` and `RegisterPairs` add beside the error.
 _DETECTED = [pa.field("keypoints", pa.list_(_KEYPOINT))]
 _TRANSFORM = [
     pa.field("t_target_source", pa.list_(pa.float64(), 16)),

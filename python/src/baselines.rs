@@ -21,8 +21,8 @@ fn responses<'py>(
     detect: impl FnOnce(&[Point], &Control) -> Result<Vec<Response>> + Send,
 ) -> PyResult<Found<'py>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
-    let outliers = FinitePoints::of("points", &points).map_err(py_error)?.outliers();
-    outliers.map_or(Ok(()), |outliers| warn(py, &outliers.to_string()))?;
+    let findings = FinitePoints::clean("points", &points, None).map_err(py_error)?.findings();
+    findings.iter().try_for_each(|text| warn(py, text))?;
     let responses: Vec<Response> = threads::run_with_signals(py, |control| detect(&points, control))?;
     let indices = responses.iter().map(|response| response.index as i64).collect();
     let scores = responses.iter().map(|response| response.score).collect();

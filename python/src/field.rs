@@ -60,9 +60,9 @@ impl Field {
         })
     }
 
-    /// What was left out because it lies far beyond all others.
-    pub fn outliers(&self) -> Option<String> {
-        self.core.outliers().map(|outliers| outliers.to_string())
+    /// The parts of the cloud that were left out, each in a sentence.
+    pub fn findings(&self) -> Vec<String> {
+        self.core.findings()
     }
 
     /// The cloud as it was given: points that were skipped are NaN.
@@ -174,7 +174,7 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
         let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
-        let source = (Some(self.model_name.clone()), self.outliers().into_iter().collect());
+        let source = (Some(self.model_name.clone()), self.findings());
         Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 

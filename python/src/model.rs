@@ -50,23 +50,23 @@ impl Model {
     }
 }
 
-/// The built-in models of calls without a model, each loaded once.
-fn builtin_models() -> &'static core::BuiltinModels {
-    static MODELS: OnceLock<core::BuiltinModels> = OnceLock::new();
-    MODELS.get_or_init(core::BuiltinModels::default)
+/// The choice of calls without a model, which loads each built-in model once.
+fn automatic() -> &'static core::Chooser {
+    static CHOOSER: OnceLock<core::Chooser> = OnceLock::new();
+    CHOOSER.get_or_init(core::Chooser::default)
 }
 
-/// What chooses model and options of each cloud of a call, for given values of options.
+/// The chooser of model and options for each cloud of a call, for given values of options.
 pub fn chooser(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
     values: &Map<String, Value>,
 ) -> PyResult<core::Chooser> {
-    let choice = match model {
+    let chooser = match model {
         Some(model) => given(py, model)?.get().named().into(),
-        None => core::ModelChoice::Auto(builtin_models().clone()),
+        None => automatic().clone(),
     };
-    core::Chooser::new(choice, values).map_err(py_error)
+    chooser.with_values(values).map_err(py_error)
 }
 
 /// The model for a registration to a cloud: the given one, or the one that the cloud has if the options run one.
@@ -129,7 +129,7 @@ impl Model {
     #[pyo3(name = "builtin", signature = (name="compact"))]
     pub fn py_builtin(py: Python<'_>, name: &str) -> PyResult<Self> {
         let core = match core::Builtin::ALL.into_iter().find(|which| which.name() == name) {
-            Some(which) => threads::run(py, || Ok(builtin_models().get(which).clone()))?,
+            Some(which) => threads::run(py, || Ok(automatic().builtin(which).clone()))?,
             None => threads::run(py, || core::Model::named(name))?,
         };
         Ok(Self { core, origin: Origin::Builtin(name.into()) })
@@ -212,7 +212,7 @@ impl Model {
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
         let field = Field::new(slf, named, &cloud, preset.encode, precision)?;
-        field.outliers().map_or(Ok(()), |text| warn(slf.py(), &text))?;
+        field.findings().iter().try_for_each(|text| warn(slf.py(), text))?;
         Ok(field)
     }
 

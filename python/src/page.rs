@@ -6,7 +6,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::Length;
-use snake_view::{Page, Pair, ShownCloud, viridis};
+use snake_view::{Page, ShownCloud, ShownPair, viridis};
 
 use crate::error::py_error;
 use crate::{arrays, metrics, model, options, threads};
@@ -72,7 +72,7 @@ pub fn page(
             shown.push(ShownCloud::detect(&first.with_cloud(cloud)?, name.clone(), control)?);
         }
         let pair = match &shown[..] {
-            [first, second] => Some(Pair::aligned([first, second], t_first_second, epsilon, control)?),
+            [first, second] => Some(ShownPair::aligned([first, second], t_first_second, epsilon, control)?),
             _ => None,
         };
         Ok(Page { clouds: shown, pair, options: first.options, model_name: first.name, colors: viridis() })

@@ -23,7 +23,7 @@ pub struct Verdict {
     is_reliable: bool,
     /// Whether the clouds leave more than one answer; `notes` say why. An ambiguous transform is not reliable.
     is_ambiguous: bool,
-    /// What may be wrong with the clouds or the transform.
+    /// Doubts about the clouds or the transform, in sentences.
     notes: Vec<String>,
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or rotate.
     weakest_constraint: f64,
@@ -92,7 +92,7 @@ impl Instance {
     }
 }
 
-/// What was used of a cloud.
+/// The used part of a cloud.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct CloudReport {
     /// Viewpoint that gave the normals their signs: "given", "origin" or "none".
@@ -103,17 +103,15 @@ pub struct CloudReport {
 
 impl Verdict {
     fn new(verdict: &core::Verdict) -> Self {
-        let core::Verdict { confidence, is_reliable, is_ambiguous, .. } = *verdict;
-        let core::Verdict { weakest_constraint, slide_margin, repeat_fit, free_space_violation, .. } = *verdict;
         Self {
-            confidence,
-            is_reliable,
-            is_ambiguous,
+            confidence: verdict.confidence,
+            is_reliable: verdict.is_reliable,
+            is_ambiguous: verdict.is_ambiguous,
             notes: verdict.notes.clone(),
-            weakest_constraint,
-            slide_margin,
-            repeat_fit,
-            free_space_violation,
+            weakest_constraint: verdict.weakest_constraint,
+            slide_margin: verdict.slide_margin,
+            repeat_fit: verdict.repeat_fit,
+            free_space_violation: verdict.free_space_violation,
         }
     }
 }
@@ -172,7 +170,7 @@ impl Registration {
         Matches { num_matches, num_inliers, rmse, num_agreeing, num_rival_agreeing, spread }
     }
 
-    /// What was used of source and target.
+    /// The used parts of source and target.
     #[getter]
     fn clouds(&self) -> (CloudReport, CloudReport) {
         let report = |cloud: &core::CloudReport| CloudReport {
@@ -258,7 +256,7 @@ pub fn register(
 #[pyclass(frozen, module = "snake_rs")]
 pub struct PreparedMap {
     map: core::PreparedMap,
-    /// What a pickle holds, from which the map is prepared again.
+    /// The content of a pickle, from which the map is prepared again.
     given: Given,
 }
 

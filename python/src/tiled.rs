@@ -26,8 +26,8 @@ use crate::{options, remote, threads};
 /// `s3://bucket/city.copc.laz` or `https://..`, and `s3://bucket/city/` for a folder; `storage_options` are those of its file system. Of COPC files ranges of bytes
 /// are read; files of other formats are copied to the folder once.
 ///
-/// `model` and `options` are those of `detect`; the model is one of scenes, by default "scenes". Give `voxel_size` in cloud units: of
-/// a cloud of at most 2 million points it is chosen else. Lengths in resolutions, such as the `mode_radius` of "scenes", need all
+/// `model` and `options` are those of `detect`; the model is one of scenes, by default "scenes". Give `voxel_size` in cloud units:
+/// it is chosen only for clouds of at most 2 million points. Lengths in resolutions, such as the `mode_radius` of "scenes", need all
 /// points once: give cloud units if a COPC file is far away. All keypoints are kept unless `max_keypoints` is given. Files that cannot be read are left out and stand in
 /// `Tiles.failures`.
 ///

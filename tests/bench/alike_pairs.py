@@ -11,7 +11,19 @@ from verdict_pairs import camera, lidar
 
 from snake_training.data.solids import CUBE, CYLINDER, Solids, about_axis
 
-HELD_OUT = ("trees", "rotunda", "stadium", "terrace", "station", "forest", "bridge", "desks", "lobby", "silo", "carriage")
+HELD_OUT = (
+    "trees",
+    "rotunda",
+    "stadium",
+    "terrace",
+    "station",
+    "forest",
+    "bridge",
+    "desks",
+    "lobby",
+    "silo",
+    "carriage",
+)
 
 
 class AlikePair(NamedTuple):

@@ -12,6 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from verdict_pairs import box, lidar
+
+from snake_training.data.solids import Solids, about_axis, scan
+from snake_training.data.worlds import any_turn
 
 # The peers' voxels are 3, 5 and 8 cm: objects are 4 m across, and sweeps are in units of 10 m.
 OBJECT_DIAMETER, SWEEP_UNIT = 4.0, 10.0
@@ -39,12 +43,6 @@ class MadePair(NamedTuple):
         return bool(cKDTree(wanted).query(moved)[0].mean() < OBJECT_LIMIT)
 
 
-def rotation(rng: np.random.Generator) -> np.ndarray:
-    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
-    q *= np.sign(np.diag(r))
-    return q * np.linalg.det(q)
-
-
 def objects(folder: Path, count: int, seed: int = 0) -> list[MadePair]:
     """Two parts of an object, each cut by a plane that leaves 30 to 70 % of its own half of the points, any rotation.
     At least 0.3 of the source is within 2 % of the diameter of the target."""
@@ -55,13 +53,13 @@ def objects(folder: Path, count: int, seed: int = 0) -> list[MadePair]:
         points *= OBJECT_DIAMETER / (2 * np.linalg.norm(points, axis=1).max())
         halves, parts = (points[::2], points[1::2]), []
         for half in halves:
-            height = half @ rotation(rng)[0]
+            height = half @ any_turn(rng)[0]
             parts.append(half[height < np.quantile(height, rng.uniform(0.3, 0.7))])
         source, target = parts
         if np.mean(cKDTree(target).query(source)[0] < OBJECT_LIMIT) < 0.3:
             continue
         truth = np.eye(4)
-        truth[:3, :3], truth[:3, 3] = rotation(rng), rng.uniform(-2, 2, 3)
+        truth[:3, :3], truth[:3, 3] = any_turn(rng), rng.uniform(-2, 2, 3)
         target = target @ truth[:3, :3].T + truth[:3, 3]
         found.append(MadePair(f"object {index}", source.astype("f4"), target.astype("f4"), truth, points[::4]))
         if len(found) == count:
@@ -69,55 +67,46 @@ def objects(folder: Path, count: int, seed: int = 0) -> list[MadePair]:
     return found
 
 
-def street(rng: np.random.Generator) -> np.ndarray:
-    """Boxes (low corner, high corner) in metres along a street on the x axis: buildings, cars and poles on z = 0."""
-    boxes = []
+def street(rng: np.random.Generator) -> Solids:
+    """A street along the x axis in metres: buildings, cars and poles on z = 0."""
+    world = Solids()
     for side in (-1, 1):
         x = -90.0
         while x < 100:
             length, setback, depth, height = rng.uniform([8, 6, 6, 4], [25, 12, 15, 18])
             y = sorted((side * setback, side * (setback + depth)))
-            boxes.append([x, y[0], 0, x + length, y[1], height])
+            box(world, [x, y[0], 0], [x + length, y[1], height])
             x += length + rng.uniform(0, 8)
         for at in rng.uniform(-80, 90, 12):
             y = side * rng.uniform(3, 5)
-            boxes.append([at, y - 0.9, 0, at + 4.2, y + 0.9, 1.5])
+            box(world, [at, y - 0.9, 0], [at + 4.2, y + 0.9, 1.5])
         for at in rng.uniform(-80, 90, 10):
-            boxes.append([at, side * 5.5 - 0.15, 0, at + 0.3, side * 5.5 + 0.15, 6])
-    return np.array(boxes)
+            box(world, [at, side * 5.5 - 0.15, 0], [at + 0.3, side * 5.5 + 0.15, 6])
+    return world
 
 
-def sweep(boxes: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What 64 beams of 900 directions each see from a pose (4, 4), in the sensor's frame, with a noise of 2 cm."""
-    elevation, azimuth = np.radians(np.linspace(-24.8, 2, 64)), np.linspace(0, 2 * np.pi, 900, endpoint=False)
-    e, a = (values.ravel() for values in np.meshgrid(elevation, azimuth))
-    rays = np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    world, at = rays @ pose[:3, :3].T, pose[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ranges = np.where(world[:, 2] < 0, -at[2] / world[:, 2], np.inf)
-        for box in boxes:
-            low, high = (box[:3] - at) / world, (box[3:] - at) / world
-            near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
-            ranges = np.where((near > 0) & (near <= far), np.minimum(ranges, near), ranges)
-    seen = ranges < 80
-    return rays[seen] * (ranges[seen] + 0.02 * rng.normal(size=seen.sum()))[:, None]
+def sweep(world: Solids, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The points (N, 3) of 64 beams of 900 directions each from a pose (4, 4), in the sensor's frame, with a noise of 2 cm. The world
+    gets a ground at z = 0."""
+    grounded = Solids(world.rows)
+    box(grounded, [-200, -200, -1], [200, 200, 0])
+    return scan(grounded, pose, lidar(64, 900, -24.8, 2), 0.02, 80.0, rng)
 
 
 def sweeps(count: int, seed: int = 0) -> list[MadePair]:
-    """Sweeps from two places 10 m apart along a street; the sensor's heading is random and its tilt up to 2 degrees."""
+    """Sweeps from two positions 10 m apart along a street; the sensor's heading is random and its tilt up to 2 degrees."""
     found = []
     for index in range(count):
         rng = np.random.default_rng([seed, index])
-        boxes, clouds, poses = street(rng), [], []
+        world, clouds, poses = street(rng), [], []
         for x in (-5.0, 5.0):
             yaw, (roll, pitch) = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(-2, 2, 2))
-            turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
             tilt = np.array([[1, 0, pitch], [0, 1, -roll], [-pitch, roll, 1]])
-            u, _, v = np.linalg.svd(turn @ tilt)
+            u, _, v = np.linalg.svd(about_axis(2, yaw) @ tilt)
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = u @ v, [x, rng.uniform(-1.5, 1.5), 1.8]
             poses.append(pose)
-            clouds.append(sweep(boxes, pose, rng))
+            clouds.append(sweep(world, pose, rng))
         truth = np.linalg.inv(poses[1]) @ poses[0]
         truth[:3, 3] /= SWEEP_UNIT
         source, target = ((cloud / SWEEP_UNIT).astype("f4") for cloud in clouds)

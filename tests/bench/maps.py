@@ -66,8 +66,8 @@ def main() -> None:
         pairs = [pair for pair in pairs if not any(name in pair.name for name in ("1cm", "tabletop"))]
         rooms, scans = floor_plan(pairs, seed)
         clouds, shifts = [np.load(room) for room in rooms], {}
-        for place, (room, cloud) in enumerate(zip(rooms, clouds, strict=True)):
-            shifts[room] = np.array([place % 5 * APART, place // 5 * APART, 0.0]) - cloud.mean(axis=0)
+        for number, (room, cloud) in enumerate(zip(rooms, clouds, strict=True)):
+            shifts[room] = np.array([number % 5 * APART, number // 5 * APART, 0.0]) - cloud.mean(axis=0)
         points = np.concatenate([cloud + shifts[room] for room, cloud in zip(rooms, clouds, strict=True)])
         prepared = snake_rs.PreparedMap(points, voxel_size=VOXEL)
         counts, seconds = np.zeros(4, int), np.zeros(2)

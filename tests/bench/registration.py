@@ -143,7 +143,7 @@ class Bench:
         print_verdicts(pairs, methods, found)
 
 
-# What each part needs.
+# The data that each part needs.
 PARTS = {
     "validation": "scenes",
     "training": "scenes",

@@ -26,7 +26,7 @@ SWEEPS = {
     "query_resolution": [32, 64, 96, 128],
     "refine_steps": [0, 5, 10, 20, 40],
 }
-# What time can at best be proportional to: axis label and its value of a setting.
+# Quantities that time is at best proportional to: label of the axis, and value for a setting.
 AXES = {
     "points": ("points", lambda n: n),
     "resolution": ("voxels of the volume", lambda r: r**3),

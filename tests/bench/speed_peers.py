@@ -1,4 +1,4 @@
-"""What snake-rs is compared with in `tests/bench/speed.py`: other engines of the U-Net, and another detector.
+"""The peers of snake-rs in `tests/bench/speed.py`: other engines of the U-Net, and another detector.
 
 Each function prepares one peer and returns a call without arguments; it raises ImportError where the peer's package is
 not installed. All take the number of threads explicitly.

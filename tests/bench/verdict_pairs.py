@@ -4,14 +4,17 @@ cloud, missing returns at a sentinel distance; and pairs of the same making that
 A pair's kind is in its name. All lengths are metres.
 """
 
+import itertools
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from made_pairs import rotation
 from scipy.spatial import cKDTree
+
+from snake_training.data.solids import BALL, CUBE, CYLINDER, ROOM, TUNNEL, Solids, about_axis, directions, scan
+from snake_training.data.worlds import any_turn
 
 SENTINELS = (0.0, 20.0, 30.0, 65.535, 1e4)
 
@@ -42,49 +45,13 @@ class VerdictPair(NamedTuple):
         return bool(np.median(np.linalg.norm(moved, axis=1)) < self.limit)
 
 
-class Scene(NamedTuple):
-    """Boxes and rooms (low corner, high corner), balls (centre, radius), upright columns (x, y, radius, height) and round
-    tunnels along x (y, z, radius)."""
-
-    boxes: np.ndarray = np.zeros((0, 6))
-    rooms: np.ndarray = np.zeros((0, 6))
-    balls: np.ndarray = np.zeros((0, 4))
-    columns: np.ndarray = np.zeros((0, 4))
-    tunnels: np.ndarray = np.zeros((0, 3))
+def box(world: Solids, low, high, kind: int = CUBE) -> None:
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    world.add(kind, (low + high) / 2, (high - low) / 2)
 
 
-def crossings(quadratic: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The two solutions of a t² + 2 b t + c = 0, nan without any."""
-    a, b, c = quadratic
-    root = np.sqrt(b * b - a * c)
-    return (-b - root) / a, (-b + root) / a
-
-
-def ranges(scene: Scene, at: np.ndarray, rays: np.ndarray, most: float) -> np.ndarray:
-    """The distance (R,) to the first surface along each ray (R, 3), inf beyond `most`."""
-    nearest = np.full(len(rays), np.inf)
-    with np.errstate(all="ignore"):
-        for boxes, is_hollow in ((scene.boxes, False), (scene.rooms, True)):
-            for box in boxes:
-                low, high = (box[:3] - at) / rays, (box[3:] - at) / rays
-                near, far = np.minimum(low, high).max(axis=1), np.maximum(low, high).min(axis=1)
-                found = far if is_hollow else near
-                nearest = np.where((found > 0) & (near <= far), np.minimum(nearest, found), nearest)
-        for x, y, z, radius in scene.balls:
-            offset = at - [x, y, z]
-            first, _ = crossings((np.ones(len(rays)), rays @ offset, offset @ offset - radius**2))
-            nearest = np.where(first > 0, np.fmin(nearest, first), nearest)
-        for x, y, radius, height in scene.columns:
-            offset = at[:2] - [x, y]
-            flat = rays[:, :2]
-            first, _ = crossings(((flat**2).sum(1), flat @ offset, offset @ offset - radius**2))
-            z = at[2] + first * rays[:, 2]
-            nearest = np.where((first > 0) & (z > 0) & (z < height), np.fmin(nearest, first), nearest)
-        for y, z, radius in scene.tunnels:
-            offset, flat = at[1:] - [y, z], rays[:, 1:]
-            _, last = crossings(((flat**2).sum(1), flat @ offset, offset @ offset - radius**2))
-            nearest = np.where(last > 0, np.fmin(nearest, last), nearest)
-    return np.where(nearest < most, nearest, np.inf)
+def column(world: Solids, x: float, y: float, radius: float, height: float) -> None:
+    world.add(CYLINDER, [x, y, height / 2], [radius, radius, height / 2])
 
 
 @cache
@@ -98,56 +65,40 @@ def camera(width: int = 128, height: int = 96, degrees: float = 70.0) -> np.ndar
 
 @cache
 def lidar(beams: int = 32, columns: int = 720, low: float = -30.0, high: float = 30.0) -> np.ndarray:
+    """The rays (R, 3) of a spinning LiDAR, z up."""
     elevation, azimuth = np.radians(np.linspace(low, high, beams)), np.linspace(0, 2 * np.pi, columns, endpoint=False)
-    e, a = (values.ravel() for values in np.meshgrid(elevation, azimuth))
-    return np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    return directions(elevation, azimuth)
 
 
 def pose(at: list[float], yaw: float = 0.0, pitch: float = 0.0) -> np.ndarray:
-    """A sensor at a place, turned left by `yaw` and down by `pitch` (degrees)."""
-    (cy, sy), (cp, sp) = ((np.cos(v), np.sin(v)) for v in np.radians([yaw, pitch]))
+    """A sensor at a position, turned left by `yaw` and down by `pitch` (degrees)."""
     made = np.eye(4)
-    made[:3, :3] = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ [[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]
+    made[:3, :3] = about_axis(2, np.radians(yaw)) @ about_axis(1, np.radians(pitch))
     made[:3, 3] = at
     return made
-
-
-def view(
-    scene: Scene, t: np.ndarray, rays: np.ndarray, rng: np.random.Generator, noise: float, most: float
-) -> np.ndarray:
-    """What a sensor sees, in its frame (N, 3)."""
-    found = ranges(scene, t[:3, 3], rays @ t[:3, :3].T, most)
-    seen = np.isfinite(found)
-    return rays[seen] * (found[seen] + noise * rng.normal(size=seen.sum()))[:, None]
 
 
 Made = tuple[np.ndarray, np.ndarray, np.ndarray | None, float]
 
 
-def seen_twice(
-    scene: Scene,
-    poses: list[np.ndarray],
-    rays: np.ndarray,
-    rng: np.random.Generator,
-    noise: float,
-    most: float,
-    limit: float,
-) -> Made:
-    source, target = (view(scene, t, rays, rng, noise, most) for t in poses)
+def seen_twice(world: Solids, poses: list[np.ndarray], *sensor, limit: float) -> Made:
+    """Two scans with a sensor, which is rays, noise, range and random numbers as `scan` takes them."""
+    source, target = (scan(world, t, *sensor) for t in poses)
     return source, target, np.linalg.inv(poses[1]) @ poses[0], limit
 
 
 def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
-    """A corridor or a round tunnel from two places along it: its surface leaves the way along it open."""
-    height = rng.uniform(2.2, 3.5)
+    """A corridor or a round tunnel from two positions along it: its surface leaves the way along it open."""
+    world, height = Solids(), rng.uniform(2.2, 3.5)
     if is_round:
         radius = rng.uniform(1.5, 4.0)
-        scene = Scene(tunnels=np.array([[0.0, radius - 0.5 * rng.random(), radius]]))
+        middle = [0, 0, radius - 0.5 * rng.random()]
+        world.add(TUNNEL, middle, [radius, radius, 300], about_axis(1, np.pi / 2))
         if rng.random() < 0.5:
-            scene = scene._replace(boxes=np.array([[-300.0, -9, -1, 300, 9, 0]]))
+            box(world, [-300, -9, -1], [300, 9, 0])
     else:
         width = rng.uniform(1.8, 4.0)
-        scene = Scene(rooms=np.array([[-300.0, -width / 2, 0, 300, width / 2, height]]))
+        box(world, [-300, -width / 2, 0], [300, width / 2, height], ROOM)
     turn = rng.uniform(-8, 8) * (rng.random() < 0.5)
     along = rng.uniform(0.2, 3.0)
     poses = [
@@ -156,30 +107,33 @@ def passage(rng: np.random.Generator, is_round: bool, is_lidar: bool) -> Made:
     ]
     if is_lidar:
         beams = [lidar(32, 720, -40, 40), lidar(16, 900, -15, 15), lidar(64, 900, -25, 5)][rng.integers(3)]
-        return seen_twice(scene, poses, beams, rng, 0.02, rng.choice([20.0, 40.0]), 0.15)
-    return seen_twice(scene, poses, camera(), rng, rng.choice([0, 0.002, 0.01]), rng.choice([6.0, 12.0]), 0.15)
+        return seen_twice(world, poses, beams, 0.02, rng.choice([20.0, 40.0]), rng, limit=0.15)
+    noise, furthest = rng.choice([0, 0.002, 0.01]), rng.choice([6.0, 12.0])
+    return seen_twice(world, poses, camera(), noise, furthest, rng, limit=0.15)
 
 
 def pillars(rng: np.random.Generator) -> Made:
-    """A row of equal pillars, between walls or in the open, from places one or two periods apart."""
+    """A row of equal pillars, between walls or in the open, from positions one or two periods apart."""
     period, size, height = rng.uniform(1.0, 2.5), rng.uniform(0.15, 0.5), rng.uniform(2.0, 5.0)
     at = np.arange(-60, 60) * period
     rows = (-1.0, 1.0) if rng.random() < 0.5 else (1.0,)
     side = rng.uniform(1.5, 3.0)
-    floor = [[-500.0, -50, -1, 500, 50, 0]]
+    world = Solids()
+    box(world, [-500, -50, -1], [500, 50, 0])
+    is_square = rng.random() < 0.5
+    for x, y in itertools.product(at, rows):
+        if is_square:
+            box(world, [x - size, y * side - size, 0], [x + size, y * side + size, height])
+        else:
+            column(world, x, y * side, size, height)
     if rng.random() < 0.5:
-        boxes = [[x - size, y * side - size, 0, x + size, y * side + size, height] for x in at for y in rows]
-        scene = Scene(boxes=np.array(floor + boxes))
-    else:
-        scene = Scene(boxes=np.array(floor), columns=np.array([[x, y * side, size, height] for x in at for y in rows]))
-    if rng.random() < 0.5:
-        scene = scene._replace(rooms=np.array([[-500.0, -side - 1, -0.5, 500, side + 1, height]]))
+        box(world, [-500, -side - 1, -0.5], [500, side + 1, height], ROOM)
     # A view of a single pillar does not show that there are others.
     start, yaw = rng.uniform(0, period), rng.choice([0.0, 20.0])
     poses = [pose([start + k * period, 0, 1.4], yaw) for k in (0, rng.integers(1, 3))]
     if rng.random() < 0.5:
-        return seen_twice(scene, poses, lidar(), rng, 0.02, 25.0, 0.15)
-    return seen_twice(scene, poses, camera(), rng, 0.005, 12.0, 0.15)
+        return seen_twice(world, poses, lidar(), 0.02, 25.0, rng, limit=0.15)
+    return seen_twice(world, poses, camera(), 0.005, 12.0, rng, limit=0.15)
 
 
 def shape(rng: np.random.Generator, name: str, count: int) -> np.ndarray:
@@ -196,7 +150,7 @@ def shape(rng: np.random.Generator, name: str, count: int) -> np.ndarray:
 
 
 def moved(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return points @ rotation(rng).T + rng.uniform(-2, 2, 3)
+    return points @ any_turn(rng).T + rng.uniform(-2, 2, 3)
 
 
 def symmetric(rng: np.random.Generator, name: str) -> Made:
@@ -205,9 +159,17 @@ def symmetric(rng: np.random.Generator, name: str) -> Made:
     return source, moved(target, rng), None, 0.0
 
 
-def room(rng: np.random.Generator) -> Scene:
-    """A room with furniture of 6 to 14 boxes, some columns and balls."""
-    length, width, height = rng.uniform([4, 3, 2.3], [8, 6, 3.2])
+class Room(NamedTuple):
+    """A room with furniture of 6 to 14 boxes, columns and balls; its size (3,) and the corners (B, 6) of its boxes."""
+
+    world: Solids
+    size: np.ndarray
+    boxes: np.ndarray
+
+
+def room(rng: np.random.Generator) -> Room:
+    world, size_of_room = Solids(), rng.uniform([4, 3, 2.3], [8, 6, 3.2])
+    length, width, _ = size_of_room
     boxes = []
     for _ in range(rng.integers(6, 15)):
         size = rng.uniform([0.25, 0.25, 0.3], [2.0, 1.0, 2.0])
@@ -220,78 +182,78 @@ def room(rng: np.random.Generator) -> Scene:
             boxes.append(
                 [x + low[0], y + low[1], size[2], x + 0.6 * size[0], y + 0.7 * size[1], size[2] + rng.uniform(0.1, 0.5)]
             )
-    columns = [
-        [*rng.uniform([0.3, 0.3], [length - 0.3, width - 0.3]), rng.uniform(0.05, 0.25), rng.uniform(0.6, 2.3)]
-        for _ in range(2)
-    ]
-    balls = [[*rng.uniform([0.3, 0.3, 0.2], [length - 0.3, width - 0.3, 1.6]), rng.uniform(0.1, 0.3)] for _ in range(2)]
-    return Scene(np.array(boxes), np.array([[0, 0, 0, length, width, height]]), np.array(balls), np.array(columns))
+    for corners in boxes:
+        box(world, corners[:3], corners[3:])
+    box(world, np.zeros(3), size_of_room, ROOM)
+    for _ in range(2):
+        x, y = rng.uniform([0.3, 0.3], [length - 0.3, width - 0.3])
+        column(world, x, y, rng.uniform(0.05, 0.25), rng.uniform(0.6, 2.3))
+    for _ in range(2):
+        middle = rng.uniform([0.3, 0.3, 0.2], [length - 0.3, width - 0.3, 1.6])
+        world.add(BALL, middle, np.full(3, rng.uniform(0.1, 0.3)))
+    return Room(world, size_of_room, np.array(boxes))
 
 
-def free_place(scene: Scene, rng: np.random.Generator, height: float) -> np.ndarray:
-    """A place in a room at least 0.4 m from everything in it."""
-    low, high = scene.rooms[0, :3], scene.rooms[0, 3:]
+def free_position(room: Room, rng: np.random.Generator, height: float) -> np.ndarray:
+    """A position in a room at least 0.4 m from its walls and boxes."""
     for _ in range(1000):
-        place = np.r_[rng.uniform(low[:2] + 0.4, high[:2] - 0.4), height]
-        blocked = ((place > scene.boxes[:, :3] - 0.4) & (place < scene.boxes[:, 3:] + 0.4)).all(axis=1).any()
-        if not blocked:
-            return place
-    return place
+        at = np.r_[rng.uniform(0.4, room.size[:2] - 0.4), height]
+        if not ((at > room.boxes[:, :3] - 0.4) & (at < room.boxes[:, 3:] + 0.4)).all(axis=1).any():
+            break
+    return at
 
 
-def towards(place: np.ndarray, look: np.ndarray) -> np.ndarray:
-    offset = look - place
-    return pose(
-        place, np.degrees(np.arctan2(offset[1], offset[0])), -np.degrees(np.arctan2(offset[2], np.hypot(*offset[:2])))
-    )
+def towards(at: np.ndarray, look: np.ndarray) -> np.ndarray:
+    x, y, z = look - at
+    return pose(at, np.degrees(np.arctan2(y, x)), -np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
 def room_views(rng: np.random.Generator) -> Made:
-    """Two views of one part of a room, from places up to 1.5 m apart."""
-    scene = room(rng)
-    first = free_place(scene, rng, 1.4)
-    places = [free_place(scene, rng, rng.uniform(1.2, 1.6)) for _ in range(40)]
-    second = next((p for p in places if np.linalg.norm(p - first) < 1.5), first + 0.1)
-    corner = scene.rooms[0, [0, 1, 2]] + [rng.choice([0, 1]), rng.choice([0, 1]), 0.3] * (
-        scene.rooms[0, 3:] - scene.rooms[0, :3]
-    )
+    """Two views of one part of a room, from positions up to 1.5 m apart."""
+    made = room(rng)
+    first = free_position(made, rng, 1.4)
+    others = [free_position(made, rng, rng.uniform(1.2, 1.6)) for _ in range(40)]
+    second = next((p for p in others if np.linalg.norm(p - first) < 1.5), first + 0.1)
+    corner = [rng.choice([0, 1]), rng.choice([0, 1]), 0.3] * made.size
     poses = [towards(p, corner + rng.uniform(-0.5, 0.5, 3)) for p in (first, second)]
-    return seen_twice(scene, poses, camera(), rng, rng.choice([0.002, 0.004, 0.01]), 10.0, 0.1)
+    return seen_twice(made.world, poses, camera(), rng.choice([0.002, 0.004, 0.01]), 10.0, rng, limit=0.1)
 
 
 def room_view(rng: np.random.Generator) -> np.ndarray:
-    scene = room(rng)
-    place = free_place(scene, rng, 1.4)
-    return view(scene, towards(place, scene.rooms[0, 3:] * rng.random(3)), camera(), rng, 0.004, 10.0)
+    made = room(rng)
+    at = free_position(made, rng, 1.4)
+    return scan(made.world, towards(at, made.size * rng.random(3)), camera(), 0.004, 10.0, rng)
 
 
-def street(rng: np.random.Generator) -> Scene:
-    boxes = [[-150.0, -150, -1, 150, 150, 0]]
+def street(rng: np.random.Generator) -> Solids:
+    world = Solids()
+    box(world, [-150, -150, -1], [150, 150, 0])
     for side in (-1, 1):
         x = -100.0
         while x < 100:
             length, setback, depth, height = rng.uniform([6, 8, 6, 4], [25, 13, 15, 18])
             y = sorted((side * setback, side * (setback + depth)))
-            boxes.append([x, y[0], 0, x + length, y[1], height])
+            box(world, [x, y[0], 0], [x + length, y[1], height])
             x += length + rng.uniform(0, 8)
         for at in rng.uniform(-90, 90, 10):
             y = side * rng.uniform(4, 6.5)
-            boxes.append([at, y - 0.9, 0, at + 4.2, y + 0.9, 1.5])
-    columns = [[x, rng.choice([-7.5, 7.5]), 0.15, 6.0] for x in rng.uniform(-90, 90, 16)]
-    return Scene(boxes=np.array(boxes), columns=np.array(columns))
+            box(world, [at, y - 0.9, 0], [at + 4.2, y + 0.9, 1.5])
+    for x in rng.uniform(-90, 90, 16):
+        column(world, x, rng.choice([-7.5, 7.5]), 0.15, 6.0)
+    return world
 
 
 def street_views(rng: np.random.Generator, low: float, high: float) -> Made:
-    scene, distance = street(rng), rng.uniform(low, high)
+    world, distance = street(rng), rng.uniform(low, high)
     poses = [pose([x, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)) for x in (-distance / 2, distance / 2)]
-    made = seen_twice(scene, poses, lidar(40, 720, -25, 5), rng, 0.02, 80.0, 0.6)
-    return made if high < 30 else (made[0], made[1], made[2], 2.0)
+    limit = 0.6 if high < 30 else 2.0
+    return seen_twice(world, poses, lidar(40, 720, -25, 5), 0.02, 80.0, rng, limit=limit)
 
 
 def street_view(rng: np.random.Generator) -> np.ndarray:
-    return view(
-        street(rng), pose([0, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180)), lidar(40, 720, -25, 5), rng, 0.02, 80.0
-    )
+    world = street(rng)
+    at = pose([0, rng.uniform(-2, 2), 1.8], rng.uniform(-180, 180))
+    return scan(world, at, lidar(40, 720, -25, 5), 0.02, 80.0, rng)
 
 
 @cache
@@ -313,9 +275,9 @@ def object_parts(rng: np.random.Generator, folder: Path, split: str) -> Made:
     half, truth = len(points) // 2, np.eye(4)
     parts = []
     for sample in (points[:half], points[half:]):
-        height = sample @ rotation(rng)[0]
+        height = sample @ any_turn(rng)[0]
         parts.append(sample[height < np.quantile(height, rng.uniform(0.7, 0.95))])
-    truth[:3, :3], truth[:3, 3] = rotation(rng), rng.uniform(-2, 2, 3)
+    truth[:3, :3], truth[:3, 3] = any_turn(rng), rng.uniform(-2, 2, 3)
     return parts[0], parts[1] @ truth[:3, :3].T + truth[:3, 3], truth, 0.06
 
 

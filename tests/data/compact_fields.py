@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from snake_training.data.procedural import box, sample_surface
+from snake_training.data.shapes import box, sample_surface
 from snake_training.export import load_network
 
 ROOT = Path(__file__).parents[2]

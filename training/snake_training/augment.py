@@ -3,6 +3,7 @@
 import numpy as np
 
 BOUND = 0.5625  # half the side of the padded volume, 0.5 * (1 + padding)
+MAX_THINNING, MAX_NOISE = 16.0, 0.045  # of degraded views: one point of so many is kept; standard deviation
 
 
 def normalize(points, method="unit-sphere", rng=None):
@@ -56,48 +57,19 @@ def draw(rng, points, number, replacement):
     return points[rng.integers(len(points), size=number)] if replacement else choose(rng, points, number)
 
 
-def visible(points, pixel, tolerance):
-    """Which points (M, 3) in a camera's frame it sees: all in front of it that no other point hides.
-
-    A point is hidden by one in the same pixel, of size `pixel` (tangent), that is nearer by more than the share
-    `tolerance` of its depth. The pixel must be wider than the gaps between the points.
-    """
-    depth = points[:, 2]
-    in_front = depth > 1e-6
-    image = numbered(np.floor(points[in_front, :2] / depth[in_front, None] / pixel))
-    _, pixel_of = np.unique(image, return_inverse=True)
-    nearest = np.full(pixel_of.max(initial=-1) + 1, np.inf)
-    np.minimum.at(nearest, pixel_of.ravel(), depth[in_front])
-    seen = np.zeros(len(points), bool)
-    seen[in_front] = depth[in_front] <= nearest[pixel_of.ravel()] * (1 + tolerance)
-    return seen
-
-
-def numbered(cells):
-    """A number of each cell (.., 2 or 3) of integers below 2^20: a sort of numbers is far faster than one of rows."""
-    return cells.astype(np.int64) @ (1 << 20 * np.arange(cells.shape[-1]))
-
-
-def facing(points, rng):
-    """Which points (N, 3) of an object within the cube +-0.5 a camera before it sees, one that looks along z."""
-    camera = points + (0, 0, rng.uniform(1.2, 3))
-    gap = np.sqrt(np.pi / len(points))  # between the points if they lay on a sphere of radius 0.5
-    return visible(camera, 2 * gap / camera[:, 2].mean(), 0.04)
-
-
 def within_bounds(points):
     """The points inside the padded volume, as the released code drops the rest; all of them if none is inside."""
     inside = (np.abs(points) <= BOUND).all(axis=1)
     return points[inside] if inside.any() else points
 
 
-def degraded(points, config, rng):
+def degraded(points, rng):
     """The points (N, 3) thinned, with noise, or both: a third of the views each, so that a network learns each alone."""
     is_thinned, is_noisy = [(True, False), (False, True), (True, True)][rng.integers(3)]
     if is_thinned:
-        points = choose(rng, points, max(int(len(points) / config.max_thinning ** rng.random()), 2))
+        points = choose(rng, points, max(int(len(points) / MAX_THINNING ** rng.random()), 2))
     if is_noisy:
-        noise = rng.uniform(0, config.max_noise) * rng.standard_normal(points.shape)
+        noise = rng.uniform(0, MAX_NOISE) * rng.standard_normal(points.shape)
         points = points + noise.astype(np.float32)
     return points
 
@@ -122,7 +94,7 @@ def inside_volume(queries):
 def two_views(cloud, config, rng):
     """One sample for the four losses from a cloud (M, 3) of any unit, as float32 arrays by name.
 
-    points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical places in
+    points (2, N, 3); queries (2, 2 K + G H^3, 3), K on the surface, K anywhere and G local grids, the same physical points in
     both views; inside (2, G, H^3): which grid points lie within the padded volume. The first view is the cloud as it is, the
     second is turned, with noise and fewer points. What turn and shift move out of the volume is cut off before the rest is
     moved to the origin, as in the released code: otherwise the shift would have no effect.
@@ -134,15 +106,14 @@ def two_views(cloud, config, rng):
     if config.recenter:
         mean = moved.mean(axis=0)
         moved, shift = within_bounds(moved - mean), shift - mean
-    views, shown = (clean, moved), moved
-    if rng.random() < config.partial_share:
-        shown = shown[facing(shown, rng)]
+    views = clean, moved
+    rng.random()  # unused; without it, all samples would be others
     if rng.random() < config.degraded_share:
-        shown = within_bounds(degraded(choose(rng, shown, config.num_points), config, rng))
+        shown = within_bounds(degraded(choose(rng, moved, config.num_points), rng))
         repeats = choose(rng, shown, config.num_points)
     else:
-        noise = config.jitter_sigma * rng.standard_normal(shown.shape, dtype=np.float32)
-        noisy = within_bounds(shown + noise.clip(-config.jitter_clip, config.jitter_clip))
+        noise = config.jitter_sigma * rng.standard_normal(moved.shape, dtype=np.float32)
+        noisy = within_bounds(moved + noise.clip(-config.jitter_clip, config.jitter_clip))
         kept = max(int(config.num_points / rng.uniform(1, config.max_downsampling)), 1)
         thinned = draw(rng, noisy, kept, config.with_replacement)
         repeats = choose(rng, thinned, config.num_points)  # all of the thinned points, some of them several times
@@ -161,45 +132,26 @@ def two_views(cloud, config, rng):
 def student_views(shape, config, rng):
     """One sample for a student from a row of `Targets`, as float32 arrays by name: two views of a shape, each turned at random.
 
-    A share of them is `degraded`; of a share of the samples one view sees one side only. A view is normalised as it is seen,
-    noise and all, as in detection. points (2, N, 3); queries (2, 2 K + Q, 3): K on the surface that is seen, K anywhere, and
-    Q targets, the same physical places in both views, near what both see, half of them among the fifth of highest target;
+    A share of them is `degraded`. A view is normalised with its noise, as in detection. points (2, N, 3); queries (2, 2 K + Q, 3):
+    K on the surface, K anywhere, and Q targets, the same points in both views, half of them among the fifth of highest target;
     target (Q,).
     """
-    cloud, places, target = shape
-    one_sided = rng.integers(2) if rng.random() < config.partial_share else None
-    views, common = [], np.ones(len(places), bool)
-    for view in range(2):
-        rotation = random_rotation(rng)
-        shown = cloud @ rotation.T
-        if view == one_sided:
-            side = facing(shown, rng)
-            shown, common = shown[side], near(places, cloud[side])
-        views.append((rotation, shown))
-    common = np.flatnonzero(common) if common.any() else np.arange(len(places))
-    best = common[target[common].argsort()[-max(len(common) // 5, 1) :]]
-    chosen = common[rng.integers(len(common), size=config.num_targets)]
+    cloud, positions, target = shape
+    rng.random()  # unused, as in `two_views`
+    rotations = [random_rotation(rng) for _ in range(2)]
+    best = target.argsort()[-max(len(positions) // 5, 1) :]
+    chosen = rng.integers(len(positions), size=config.num_targets)
     chosen[::2] = best[rng.integers(len(best), size=len(chosen[::2]))]
     points, queries = [], []
-    for rotation, shown in views:
-        seen = degraded(shown, config, rng) if rng.random() < config.degraded_share else shown
+    for rotation in rotations:
+        shown = cloud @ rotation.T
+        seen = degraded(shown, rng) if rng.random() < config.degraded_share else shown
         seen, center, scale = normalize(seen, config.normalization, rng)
         points.append(choose(rng, seen, config.num_points))
         surface = occupancy_queries((shown - center) / scale, config, rng)
-        queries.append(np.concatenate([surface, (places[chosen] @ rotation.T - center) / scale]))
+        queries.append(np.concatenate([surface, (positions[chosen] @ rotation.T - center) / scale]))
     return {
         "points": np.stack(points).astype(np.float32),
         "queries": np.stack(queries).astype(np.float32),
         "target": target[chosen],
     }
-
-
-def near(queries, points):
-    """Which queries (Q, 3) lie in a cell with points (N, 3), of 16 cells along each axis of the padded volume."""
-    return np.isin(cells(queries), cells(points))
-
-
-def cells(points):
-    """The cell (N,) that each point (N, 3) within the padded volume lies in: 16 along each axis."""
-    x, y, z = np.floor((points + BOUND) * (16 / (2 * BOUND))).astype(int).clip(0, 15).T
-    return (z * 16 + y) * 16 + x

@@ -6,7 +6,6 @@ clouds of scenes and those of the corpus, parts of rooms included, and prints th
 also of the scenes that are left out.
 """
 
-import argparse
 import json
 from pathlib import Path
 
@@ -14,13 +13,14 @@ import numpy as np
 
 from snake_rs._core import scene_signs
 
-from .data.kinds import scene_cloud
+from .arguments import option, parser_of
+from .data.sensors import scene_cloud
 
 KEPT = 0.99  # share of the scenes of the corpus that are taken for scenes: a scene taken for an object costs far more than the reverse
 
 
 def signs(clouds):
-    """The signs (N, 8) of clouds; those that are too small are left out."""
+    """The signs (N, 8) of clouds, without those of clouds that are too small."""
     found = (scene_signs(np.ascontiguousarray(cloud, dtype=np.float32)) for cloud in clouds)
     return np.array([row for row in found if row is not None])
 
@@ -61,7 +61,7 @@ def fragments(folder, left_out, rng):
 
 
 def columns(rows):
-    """What is weighed: the signs (N, 8) and their squares, (N, 16)."""
+    """The weighed columns (N, 16): the signs (N, 8) and their squares."""
     return np.column_stack([rows, rows**2])
 
 
@@ -94,13 +94,15 @@ def score(rows, weights):
 
 
 def main(argv=None):
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--objects", type=Path, required=True)
-    parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="folders with index.json")
-    parser.add_argument("--leave-out", nargs="*", default=[], metavar="SCENE", help="scenes to judge the weights by")
-    parser.add_argument("--made", type=int, default=200, help="made scenes")
-    parser.add_argument("--step", type=int, default=2, help="take every so many of the objects")
-    parser.add_argument("--seed", type=int, default=1)
+    words = {
+        "--objects": dict(type=Path, required=True),
+        "--scenes": dict(type=Path, nargs="*", default=[], help="folders with index.json"),
+        "--leave-out": dict(nargs="*", default=[], metavar="SCENE", help="scenes to judge the weights by"),
+        "--made": option(200, "made scenes"),
+        "--step": option(2, "take every so many of the objects"),
+        "--seed": option(1, "of the choices"),
+    }
+    parser = parser_of("cloud_kind", __doc__, words)
     arguments = parser.parse_args(argv)
     rng = np.random.default_rng(arguments.seed)
     made = {}

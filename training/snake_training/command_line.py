@@ -4,24 +4,14 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+from .arguments import RUN, check_run, parser_of
 from .config import NETWORK_SHAPE, PRESETS, TrainConfig, check
 from .export import load_network, recommended_options
-
-RUN = {
-    "device": dict(default="auto", choices=("auto", "cpu", "cuda"), help="torch device"),
-    "minutes": dict(
-        default=0.0, type=float, help="stop with a checkpoint after this many minutes, to be resumed; 0: never"
-    ),
-    "workers": dict(default=0, type=int, help="processes that draw the batches ahead; 0: none, best on a CPU"),
-}
 
 
 def parse_arguments(argv, description):
     """Command line -> TrainConfig, device, minutes, workers: preset first, then whatever is given explicitly."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.train", description=description, add_help=False,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )  # fmt: skip
+    parser = parser_of("train", description, RUN, add_help=False)
     parser.add_argument("--preset", choices=PRESETS, default="compact", help="settings to start from")
     for field in dataclasses.fields(TrainConfig):
         options = dict(field.metadata)
@@ -30,18 +20,16 @@ def parse_arguments(argv, description):
         else:
             options.setdefault("type", field.type)
         parser.add_argument("--" + field.name.replace("_", "-"), default=field.default, **options)
-    for name, options in RUN.items():
-        parser.add_argument(f"--{name}", **options)
     preset = parser.parse_known_args(argv)[0].preset
     parser.set_defaults(**PRESETS[preset])
     parser.add_argument("-h", "--help", action="help", help="show these settings, with the preset's values, and exit")
-    # What a namespace holds already, argparse leaves alone: None tells what was not given.
+    # argparse leaves the values of a namespace alone: None marks an option that was not given.
     given = vars(parser.parse_args(argv, argparse.Namespace(**dict.fromkeys(NETWORK_SHAPE))))
-    values = vars(parser.parse_args(argv))
+    values = parser.parse_args(argv)
+    check_run(parser, values)
+    values = vars(values)
     del values["preset"]
-    about_run = [values.pop(name) for name in RUN]
-    if not (about_run[1] >= 0 and about_run[2] >= 0):
-        parser.error("--minutes and --workers must be 0 or more")
+    about_run = [values.pop(name.removeprefix("--")) for name in RUN]
     try:
         config = TrainConfig(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
         config = with_start(config, {name for name in NETWORK_SHAPE if given[name] is not None})

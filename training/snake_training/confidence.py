@@ -9,7 +9,6 @@ of the other view lies within 4 % of the radius of an object, or two voxels of a
 the other view saw: one of its points lies within a voxel. The tensors and their digest stay.
 """
 
-import argparse
 import json
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from scipy.spatial import cKDTree
 
+from .arguments import option, parser_of
 from .data import open_shapes
 from .evaluate import view_pairs
 from .export import replacing
@@ -42,7 +42,7 @@ def of_objects(model, shapes, number, points, rotations):
 
 
 def of_pairs(model, folder, number):
-    """The same of pairs of scenes, a folder with `pairs.json`."""
+    """The same list for pairs of scenes, from a folder with `pairs.json`."""
     listed, clouds, rows = json.loads((folder / "pairs.json").read_text()), {}, []
 
     def cloud(name):
@@ -154,19 +154,17 @@ def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, ro
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.confidence",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("weights", help="weight file, which gets the map")
-    parser.add_argument("--objects", help="corpus folder, or folder of clouds")
-    parser.add_argument("--pairs", nargs="*", default=[], help="folders of scenes with pairs.json")
-    parser.add_argument("--test", nargs="*", default=[], help="folders of scenes that are only measured")
-    parser.add_argument("--number", type=int, default=200, help="objects, or pairs of a folder, at most")
-    parser.add_argument("--num-points", type=int, default=5000, help="points of an object's view")
-    parser.add_argument("--rotations", type=int, nargs="+", default=[1], help="of objects; one map serves all")
-    parser.add_argument("--dry-run", action="store_true", help="do not write")
+    arguments = {
+        "weights": dict(help="weight file, which gets the map"),
+        "--objects": dict(help="corpus folder, or folder of clouds"),
+        "--pairs": option([], "folders of scenes with pairs.json", str, nargs="*"),
+        "--test": option([], "folders of scenes that are only measured", str, nargs="*"),
+        "--number": option(200, "objects, or pairs of a folder, at most"),
+        "--num-points": option(5000, "points of an object's view"),
+        "--rotations": option([1], "of objects; one map serves all", int, nargs="+"),
+        "--dry-run": dict(action="store_true", help="do not write"),
+    }
+    parser = parser_of("confidence", __doc__, arguments)
     given = vars(parser.parse_args(argv))
     if not given["objects"] and not given["pairs"]:
         parser.error("--objects or --pairs is needed")

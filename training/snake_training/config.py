@@ -23,10 +23,13 @@ def setting(default, meaning, **kwargs):
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """What the training loop itself needs, whatever its task."""
+    """Settings of the training loop, for every task."""
 
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
+    tune: bool = setting(
+        False, "on a GPU, first try for seconds each what may make steps faster there, and keep what does"
+    )
     weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
     weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
     weight_surface: float = setting(1.0, "weight of the surface loss")
@@ -41,7 +44,7 @@ class LoopSettings:
         "off: as if the network had none, with weight_occupancy and weight_surface 0 (first row of the paper's table 4): all "
         "points of the local grids count as occupied",
     )
-    weight_distillation: float = setting(1.0, "with targets: weight of the distance to them")
+    weight_distillation: typing.ClassVar[float] = 1.0  # of the distance to targets, beside which others are weighed
     weight_consistency: float = setting(1.0, "with targets: weight of the distance between the two views")
     steps: int = setting(8000, "optimiser steps of the whole schedule")
     batch: int = setting(4, "samples a step, over all processes")
@@ -68,7 +71,6 @@ class LoopSettings:
         "which validation is the best: of highest repeatability, or of lowest total loss (released code)",
         choices=("repeatability", "loss"),
     )
-    checkpoint_minutes: float = setting(5.0, "minutes between checkpoints")
     recommended_options: str = setting(
         "", "options of detection, as JSON, that an export recommends; without them those of init"
     )
@@ -136,9 +138,6 @@ class TrainConfig(LoopSettings):
     degraded_share: float = setting(
         0.0, "share of second views, of all views with targets, that are thinned, noisy or both, a third each"
     )
-    max_noise: float = setting(0.045, "of degraded views: the noise's standard deviation is uniform up to this")
-    max_thinning: float = setting(16.0, "of degraded views: one point is kept of up to this many")
-    partial_share: float = setting(0.0, "share of samples of which one view sees one side only")
 
     num_occupancy: int = setting(600, "occupancy queries on the surface, and as many uniform ones, a view")
     num_grids: int = setting(60, "local grids a sample (n in the paper)")
@@ -177,10 +176,7 @@ class SceneTraining(LoopSettings):
     num_occupancy: int = setting(300, "occupancy queries on the surface, and as many off it, a view")
     num_grids: int = setting(0, "local grids a crop: learn by eqs. 3 to 5 instead of from targets; 0: from targets")
     grid_size: int = setting(5, "points along each side of a local grid")
-    grid_voxels: float = setting(6.0, "side of a local grid")
     turned_share: float = setting(0.4, "share of the views that are turned in any way, not only about z")
-    max_thinning: float = setting(8.0, "half of the views are thinned by up to this")
-    max_noise: float = setting(0.5, "a third of the views has noise of a standard deviation of up to this")
 
     @property
     def network(self):
@@ -237,20 +233,19 @@ PRESETS = {
 }  # fmt: skip
 
 
-# Ranges of the settings; what is not named here may be anything of its type.
+# Ranges of the settings; others may have any value of their type.
 POSITIVE = (
     "resolution", "unet_levels", "unet_base_channels", "c_dim", "num_points", "num_occupancy", "grid_size", "grid_fraction",
     "num_targets", "steps", "batch", "learning_rate", "validate_every", "validation_objects", "validation_resolution",
-    "side", "queries", "grid_voxels",
+    "side", "queries",
 )  # fmt: skip
 NOT_NEGATIVE = (
-    "seed", "translation", "jitter_sigma", "jitter_clip", "max_noise", "num_grids", "weight_occupancy", "weight_repeatability",
-    "weight_surface", "weight_sparsity", "weight_distillation", "weight_consistency", "weight_decay", "warmup", "clip_norm",
-    "checkpoint_minutes", "validation_samples",
+    "seed", "translation", "jitter_sigma", "jitter_clip", "num_grids", "weight_occupancy", "weight_repeatability",
+    "weight_surface", "weight_sparsity", "weight_consistency", "weight_decay", "warmup", "clip_norm", "validation_samples",
 )  # fmt: skip
-AT_LEAST_ONE = "max_downsampling", "max_thinning"
+AT_LEAST_ONE = ("max_downsampling",)
 SHARES = (
-    "procedural_share", "degraded_share", "partial_share", "drop_after", "teacher_share", "turned_share", "sparsity_ridge",
+    "procedural_share", "degraded_share", "drop_after", "teacher_share", "turned_share", "sparsity_ridge",
 )  # fmt: skip
 RANGES = (
     dict.fromkeys(POSITIVE, ("positive", lambda value: 0 < value < math.inf))
@@ -288,7 +283,7 @@ def check(config):
 
 
 def check_objects(config):
-    """The same of what a run on objects has alone."""
+    """The same for the settings of runs on objects alone."""
     if config.num_grids < 1:
         raise ValueError(f"num_grids must be positive, got {config.num_grids}")
     if config.fresh_saliency and not config.init:

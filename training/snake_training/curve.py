@@ -14,6 +14,8 @@ import os
 import subprocess
 from pathlib import Path
 
+from .arguments import parser_of
+
 WIDTH, HEIGHT, MARGIN = 420, 280, 48
 
 
@@ -24,24 +26,24 @@ def evaluate(data, output, words):
     subprocess.run([*map(str, command)], check=True, stdout=subprocess.DEVNULL)
     report = json.loads((output / "repeatability.json").read_text())
     (row,), epsilon = report["rows"], report["settings"]["epsilon"]
-    place = epsilon.index(0.04) if 0.04 in epsilon else 0
-    return row["repeatability"][place], row["deviation"][place], row["keypoints"], epsilon[place]
+    column = epsilon.index(0.04) if 0.04 in epsilon else 0
+    return row["repeatability"][column], row["deviation"][column], row["keypoints"], epsilon[column]
 
 
 def svg(label, points):
     """A curve through points (value, share) as SVG; the shares are on an axis from 0 to 1."""
     low, high = min(x for x, _ in points), max(x for x, _ in points)
 
-    def place(x, y):
+    def pixel(x, y):
         across = (x - low) / (high - low) if high > low else 0.5
         return MARGIN + across * (WIDTH - 2 * MARGIN), HEIGHT - MARGIN - y * (HEIGHT - 2 * MARGIN)
 
     def text(x, y, words, turn=""):
         return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle"{turn}>{words}</text>'
 
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(*point) for point in points))
-    marks = [text(place(x, 0)[0], HEIGHT - MARGIN + 16, f"{x:g}") for x, _ in points]
-    marks += [text(MARGIN - 16, place(low, y / 5)[1] + 4, f"{y / 5:g}") for y in range(6)]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in (pixel(*point) for point in points))
+    marks = [text(pixel(x, 0)[0], HEIGHT - MARGIN + 16, f"{x:g}") for x, _ in points]
+    marks += [text(MARGIN - 16, pixel(low, y / 5)[1] + 4, f"{y / 5:g}") for y in range(6)]
     middle = HEIGHT / 2
     return "\n".join(
         [
@@ -80,18 +82,15 @@ def named_model(text):
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.curve",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,  # --model is of `snake-cli eval`
-    )
-    parser.add_argument("data", nargs="+", help="data set of `snake-cli eval repeatability`")
-    parser.add_argument("--option", help="option of detection that varies, such as refine_steps")
-    parser.add_argument("--values", nargs="+", type=float, help="its values")
-    parser.add_argument("--models", nargs="+", type=named_model, metavar="VALUE=MODEL", help="models that vary")
-    parser.add_argument("--label", help="name of what varies; the option's by default")
-    parser.add_argument("-o", "--output", required=True, type=Path, help="folder")
+    arguments = {
+        "data": dict(nargs="+", help="data set of `snake-cli eval repeatability`"),
+        "--option": dict(help="option of detection that varies, such as refine_steps"),
+        "--values": dict(nargs="+", type=float, help="its values"),
+        "--models": dict(nargs="+", type=named_model, metavar="VALUE=MODEL", help="models that vary"),
+        "--label": dict(help="name of what varies; the option's by default"),
+        "-o": dict(dest="output", metavar="FOLDER", required=True, type=Path, help="folder of the runs and the curve"),
+    }
+    parser = parser_of("curve", __doc__, arguments, allow_abbrev=False)  # --model is of `snake-cli eval`
     given, words = parser.parse_known_args(argv)
     if (given.option is None) == (given.models is None) or (given.option is None) != (given.values is None):
         parser.error("give --option with --values, or --models")

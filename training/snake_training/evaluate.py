@@ -3,7 +3,6 @@
 The reference that the Rust implementation is compared with: one volume a cloud, every step written as the paper has it.
 """
 
-import argparse
 import json
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ import torch
 import torch.nn.functional as F
 from tqdm import tqdm
 
+from .arguments import DATA, option, parser_of
 from .augment import choose, normalize, random_rotation
 from .data import open_shapes
 from .export import load_network
@@ -246,30 +246,25 @@ def figures(
 
 def main(argv=None):
     """Prints the repeatability of a weight file on a folder of shapes."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.evaluate",
-        description="Relative repeatability: 5000 points, second view rotated at random, top 64 keypoints.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("weights", help="safetensors export or checkpoint")
-    parser.add_argument("data", help="corpus folder, or a folder of .npy / .ply clouds")
-    parser.add_argument("--objects", type=int, default=10**9, help="evaluate this many, evenly spaced")
-    parser.add_argument("--num-points", type=int, default=5000, help="points of each view")
-    parser.add_argument("--epsilon", type=float, nargs="+", default=[0.02, 0.04, 0.06, 0.10], help="unit-sphere units")
-    parser.add_argument("--seed", type=int, default=0, help="seed of rotations and point choices")
-    parser.add_argument("--engine", choices=("torch", "snake-rs"), default="torch", help="which implementation detects")
-    parser.add_argument("--rotations", type=int, default=1, help="turned copies averaged (snake-rs only)")
-    parser.add_argument(
-        "--recommended",
-        action="store_true",
-        help="detect with the options of the weights, not those below (snake-rs only)",
-    )
-    parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
-    parser.add_argument("--threads", type=int, default=0, help="torch threads; 0: torch's default")
+    arguments = {
+        "weights": dict(help="safetensors export or checkpoint"),
+        "--objects": option(10**9, "evaluate this many, evenly spaced"),
+        "--num-points": option(5000, "points of each view"),
+        "--epsilon": option([0.02, 0.04, 0.06, 0.10], "unit-sphere units", float, nargs="+"),
+        "--seed": option(0, "seed of rotations and point choices"),
+        "--engine": option("torch", "which implementation detects", choices=("torch", "snake-rs")),
+        "--rotations": option(1, "turned copies averaged (snake-rs only)"),
+        "--recommended": dict(
+            action="store_true", help="detect with the options of the weights, not those below (snake-rs only)"
+        ),
+        "--device": option("cpu", "torch device, for instance cuda"),
+        "--threads": option(0, "torch threads; 0: torch's default"),
+    }
+    about = "Relative repeatability: 5000 points, second view rotated at random, top 64 keypoints."
+    parser = parser_of("evaluate", about, arguments | DATA)
     for name, field in DetectOptions.__dataclass_fields__.items():
-        option = "--" + name.replace("_", "-")
-        choices = CHOICES.get(name)
-        parser.add_argument(option, type=field.type, default=field.default, choices=choices, help="of detection")
+        words = option(field.default, "of detection", field.type, choices=CHOICES.get(name))
+        parser.add_argument("--" + name.replace("_", "-"), **words)
     arguments = parser.parse_args(argv)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)

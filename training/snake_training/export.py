@@ -14,6 +14,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
+from .arguments import parser_of
 from .config import PRESETS
 from .model import NetworkConfig, SnakeNetwork
 from .scene_model import SceneConfig, SceneNetwork
@@ -21,7 +22,7 @@ from .scene_model import SceneConfig, SceneNetwork
 
 @contextmanager
 def replacing(path):
-    """A temporary name for a file that takes the place of `path` once it is whole."""
+    """A temporary name for a file that replaces `path` once it is whole."""
     temporary = Path(f"{path}.partial")
     try:
         yield temporary
@@ -213,18 +214,15 @@ def write_weights(path, config, tensors, dtype=torch.float32, extra=None):
 
 def main(argv=None):
     """Command line of the export."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.export",
-        usage="python -m snake_training.export SOURCE -o OUTPUT [options]",
-        description="Write the weight file of snake-rs from a run, a checkpoint, or an official model_best.pth.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("source", help="run folder, checkpoint or weight file")
-    parser.add_argument("-o", "--output", required=True, help="weight file to write")
-    parser.add_argument("--float16", action="store_true", help="store the tensors as float16")
-    parser.add_argument(
-        "--metadata", nargs="*", default=[], metavar="KEY=VALUE", help="added metadata: licence, data, options"
-    )
+    arguments = {
+        "source": dict(help="run folder, checkpoint or weight file"),
+        "-o": dict(dest="output", metavar="OUTPUT", required=True, help="weight file to write"),
+        "--float16": dict(action="store_true", help="store the tensors as float16"),
+        "--metadata": dict(nargs="*", default=[], metavar="KEY=VALUE", help="added metadata: licence, data, options"),
+    }
+    about = "Write the weight file of snake-rs from a run, a checkpoint, or an official model_best.pth."
+    usage = "python -m snake_training.export SOURCE -o OUTPUT [options]"
+    parser = parser_of("export", about, arguments, usage=usage)
     official = parser.add_argument_group(
         "official checkpoints", "their configuration is not in the file; these are not used for ours"
     )

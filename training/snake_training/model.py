@@ -14,7 +14,7 @@ from torch.utils.checkpoint import checkpoint
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What tensor shapes alone do not say; travels as the weight file's metadata."""
+    """The network's configuration beyond tensor shapes; the weight file's metadata hold it."""
 
     resolution: tuple = (64, 64, 64)  # voxels along x, y, z
     padding: float = 0.125  # the volume spans +-0.5 * (1 + padding)

@@ -4,7 +4,6 @@ A command trains, exports and evaluates what its tables need, and prints the pap
 the tables. The same command goes on where it stopped. `--dry-run` prints the commands, their samples and hours.
 """
 
-import argparse
 import json
 import shlex
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 import torch
 
 from . import body_model, export
+from .arguments import RUN, check_run, option, parser_of
 from .command_line import parse_arguments
 from .paper_files import missing
 from .paper_tables import ITEMS, TRAINING
@@ -37,12 +37,12 @@ LIST_630 = "keypointnet_test_630.txt"
 
 
 class Programme:
-    """The tables that are asked for, of data and lists in folders, into a folder of runs, with the number of networks that a mean
-    is of. `smoke` does everything with next to no work."""
+    """The tables that are asked for, from folders of data and lists into a folder of runs; a mean is over `seeds` networks. `smoke` does
+    everything with next to no work."""
 
     def __init__(self, names, data, lists, run_dir, seeds=6, smoke=False):
         self.items = {name: ITEMS[name] for name in names}
-        self.places = {"data": str(data), "lists": str(lists), "run": str(run_dir)}
+        self.folders = {"data": str(data), "lists": str(lists), "run": str(run_dir)}
         self.run_dir, self.seeds, self.smoke = Path(run_dir), seeds, smoke
         self.commands = list(dict.fromkeys(command for item in self.items.values() for command in commands_of(item)))
 
@@ -52,7 +52,7 @@ class Programme:
         return list({(network.name, seed): (network, seed) for network, seed in wanted}.values())
 
     def seeds_of(self, command):
-        """Of how many models the paper's figure is a mean: all seeds, or one."""
+        """The number of models whose mean the paper's figure is: all seeds, or one."""
         return self.seeds if command.seeds else 1
 
     def folder(self, network, seed):
@@ -62,22 +62,22 @@ class Programme:
     def training_words(self, network, seed):
         """The settings of a run, for `snake_training.train`."""
         folder, *lists, _ = TRAINING[network.preset]
-        data, (split, validation) = f"{self.places['data']}/{folder}", lists
+        data, (split, validation) = f"{self.folders['data']}/{folder}", lists
         words = ["--preset", network.preset, "--data", data, "--validation-data", data]
         if split:
-            at = self.places["lists"]
+            at = self.folders["lists"]
             words += ["--split", f"{at}/{split}", "--validation-split", f"{at}/{validation}"]
         words += ["--seed", str(seed), *network.words, *(SMOKE.split() if self.smoke else ())]
         return [*words, "--run-dir", str(self.folder(network, seed))]
 
     def export_words(self, network, seed):
-        """Those of `snake_training.export`."""
+        """The arguments of `snake_training.export`."""
         folder = self.folder(network, seed)
         return [str(folder), "-o", str(folder / "weights.safetensors")]
 
     def command_words(self, command):
-        """Those of snake-cli."""
-        words = [word.format(**self.places) for word in command.words.split()]
+        """The arguments of snake-cli."""
+        words = [word.format(**self.folders) for word in command.words.split()]
         files = [
             f"{self.folder(command.network, seed)}/weights.safetensors" for seed in range(1, self.seeds_of(command) + 1)
         ]
@@ -91,12 +91,12 @@ class Programme:
         return words
 
     def tables_of(self, command):
-        """The folder of an evaluation's tables: of other numbers of models they are others."""
+        """The folder of an evaluation's tables, which depend on the number of models."""
         return self.run_dir / "tables" / command.name / (f"seeds{self.seeds}" if command.seeds else "")
 
     def missing(self):
         """The files that are not there, each with where it comes from, as lines."""
-        return missing(self.commands, [network for network, _ in self.models(self.commands)], self.places)
+        return missing(self.commands, [network for network, _ in self.models(self.commands)], self.folders)
 
     def samples(self, network, seed):
         """How many samples a run has, and how many hours of an H100 they take: an estimate from the operations of both views,
@@ -133,8 +133,8 @@ class Programme:
         return [*lines, f"# {number} networks, about {total:.0f} hours of an H100"]
 
     def preparations(self):
-        """What snake-cli reads and the downloads have in another form: the file, the line of a shell that makes it, and how."""
-        lists, bodies = Path(self.places["lists"]), Path(self.places["data"]) / "smpl_model"
+        """Files that the downloads have in another form: the file, the line of a shell that makes it, and a function that does."""
+        lists, bodies = Path(self.folders["lists"]), Path(self.folders["data"]) / "smpl_model"
         names, made = self.run_dir / LIST_630, self.run_dir / "smpl_bodies"
         model = made / "model.npz"
 
@@ -160,7 +160,7 @@ class Programme:
         return [step for named, *step in steps if any(named in command.words for command in self.commands)]
 
     def run(self, snake_cli, device="auto", minutes=0.0, workers=0, log=print):
-        """Everything that is not done yet, then the tables; returns whether the minutes sufficed."""
+        """Does what is not done yet, then writes the tables; returns whether the minutes sufficed."""
         deadline = time.monotonic() + 60 * minutes if minutes else None
         self.run_dir.mkdir(parents=True, exist_ok=True)
         for path, _, write in self.preparations():
@@ -181,7 +181,7 @@ class Programme:
         return True
 
     def train(self, network, seed, device, minutes, workers):
-        """A network to its weight file; returns whether it is done. Another run's folder is a ValueError."""
+        """Trains a network to its weight file; returns whether it is done. Another run's folder is a ValueError."""
         folder, words = self.folder(network, seed), self.training_words(network, seed)
         given = folder / "words.json"
         if given.exists() and json.loads(given.read_text()) != words[:-2]:  # without the folder itself
@@ -214,52 +214,43 @@ def commands_of(item):
 
 
 def snake_rows(folder, table):
-    """Of a table that snake-cli wrote: column -> figure of our network, and of the paper's. Counts beside them are left out."""
+    """The figures of our network and of the paper's by column, of a table that snake-cli wrote, without counts."""
     (path,) = folder.glob("*.md")
     groups = [group for group in path.read_text().split("\n\n") if group.startswith("|")]
     head, _, *rows = (
         [cell.strip() for cell in line.strip("|").split("|")] for line in groups[table].splitlines() if line[0] == "|"
     )
-    columns = [place for place, name in enumerate(head) if place and name not in ("keypoints", "coverage")]
+    columns = [column for column, name in enumerate(head) if column and name not in ("keypoints", "coverage")]
     ours, paper = (
         [row for row in rows if row[0].startswith("snake") and row[0].endswith("(paper)") == is_paper]
         for is_paper in (0, 1)
     )
-    return tuple({head[place]: some[0][place] for place in columns} if some else {} for some in (ours, paper))
+    return tuple({head[column]: some[0][column] for column in columns} if some else {} for some in (ours, paper))
 
 
 def main(argv=None):
     """Command line."""
     tables = "\n".join(f"  {name:9} {item.title}" for name, item in ITEMS.items())
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.paper", description=__doc__, epilog=f"tables and figures:\n{tables}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help="tables and figures, see below")
-    parser.add_argument("--all", action="store_true", help="all of them")
-    parser.add_argument("--data", required=True, help="the folder of data, as in the authors' repository")
-    parser.add_argument("--lists", help="the folder of the authors' lists; default: split in that of --data")
-    parser.add_argument(
-        "--run-dir", default="runs/paper", help="folder of networks, tables and pictures; default: runs/paper"
-    )
-    parser.add_argument(
-        "--seeds", type=int, default=6, help="networks of tables 6 to 13, whose figures are means; default: 6"
-    )
-    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="torch device; default: auto")
-    parser.add_argument("--minutes", type=float, default=0.0, help="train no longer than so many in all; 0: no limit")
-    parser.add_argument(
-        "--workers", type=int, default=0, help="processes that draw batches ahead; 0: none, best on a CPU"
-    )
-    parser.add_argument("--snake-cli", default="snake-cli", help="the program that evaluates; default: that of PATH")
-    parser.add_argument("--dry-run", action="store_true", help="print the commands, their samples and hours, and end")
-    parser.add_argument("--smoke", action="store_true", help="everything with next to no work, to see that it runs")
+    arguments = {
+        "tables": dict(nargs="*", metavar="TABLE", help="tables and figures, see below"),
+        "--all": dict(action="store_true", help="all of them"),
+        "--data": dict(required=True, help="the folder of data, as in the authors' repository"),
+        "--lists": dict(help="the folder of the authors' lists; default: split in that of --data"),
+        "--run-dir": option("runs/paper", "folder of networks, tables and pictures"),
+        "--seeds": option(6, "networks of tables 6 to 13, whose figures are means"),
+        "--snake-cli": option("snake-cli", "the program that evaluates"),
+        "--dry-run": dict(action="store_true", help="print the commands, their samples and hours, and end"),
+        "--smoke": dict(action="store_true", help="everything with next to no work, to see that it runs"),
+    }
+    parser = parser_of("paper", __doc__, arguments | RUN, epilog=f"tables and figures:\n{tables}")
     given = parser.parse_args(argv)
+    check_run(parser, given)
     names = list(ITEMS) if given.all else given.tables
     unknown = [name for name in names if name not in ITEMS]
     if unknown or not names:
         parser.error(f"{' '.join(unknown) or 'no table'}: give some of {', '.join(ITEMS)}, or --all")
-    if not (given.minutes >= 0 and given.workers >= 0 and given.seeds >= 1):
-        parser.error("--minutes and --workers must be 0 or more, --seeds 1 or more")
+    if given.seeds < 1:
+        parser.error("--seeds must be 1 or more")
     lists = given.lists or f"{given.data}/split"
     programme = Programme(names, given.data, lists, given.run_dir, given.seeds, given.smoke)
     if given.dry_run:

@@ -1,4 +1,4 @@
-"""What the tables of the paper read, and which of it is not there: every missing file is said before anything runs."""
+"""The files that the tables of the paper read: every missing one is named before anything runs."""
 
 from pathlib import Path
 
@@ -8,8 +8,8 @@ from .data.official import find, names_of_split, roots_of
 from .paper_tables import D3FEAT, LISTS, NEEDED, PAIRS, TRAINING, UKPGAN, USIP
 
 
-def missing(commands, networks, places):
-    """Lines that name what commands and the training of their networks need and the folders of `places` lack, each with where it
+def missing(commands, networks, folders):
+    """Lines that name files that commands and the training of their networks need and that `folders` lack, each with where it
     comes from: first whole folders and lists, then single files of them."""
     wanted = {}
     for network in networks:
@@ -18,17 +18,19 @@ def missing(commands, networks, places):
         wanted |= {f"{{lists}}/{name}": LISTS for name in (split, validation) if name}
     for command in commands:
         wanted |= NEEDED[command.needs]
-    lines = [f"{path.format(**places)}: from {source}" for path, source in wanted.items() if not is_there(path, places)]
-    return lines or [*absent_shapes(commands, networks, places), *absent_files(commands, places)]
+    lines = [
+        f"{path.format(**folders)}: from {source}" for path, source in wanted.items() if not is_there(path, folders)
+    ]
+    return lines or [*absent_shapes(commands, networks, folders), *absent_files(commands, folders)]
 
 
-def is_there(path, places):
+def is_there(path, folders):
     """Whether any file has a path, with wildcards."""
-    place, _, pattern = path.partition("/")
-    return any(Path(place.format(**places)).glob(pattern))
+    root, _, pattern = path.partition("/")
+    return any(Path(root.format(**folders)).glob(pattern))
 
 
-def absent_shapes(commands, networks, places):
+def absent_shapes(commands, networks, folders):
     """Lines for lists with shapes that have no file."""
     lists = {
         (folder, name): source
@@ -39,19 +41,19 @@ def absent_shapes(commands, networks, places):
         lists[TRAINING["keypointnet"][0], "keypointnet_test_full.txt"] = UKPGAN
     for (folder, name), source in lists.items():
         if name:
-            split, folder = f"{places['lists']}/{name}", f"{places['data']}/{folder}"
+            split, folder = f"{folders['lists']}/{name}", f"{folders['data']}/{folder}"
             roots, names = roots_of(folder), names_of_split(split)
             yield from summary(
                 f"{split}: shapes", [shape for shape in names if not find(roots, shape)], len(names), source
             )
 
 
-def absent_files(commands, places):
+def absent_files(commands, folders):
     """Lines for the files that lists of pairs and fragments name."""
     needs = {command.needs for command in commands}
-    data = Path(places["data"])
+    data = Path(folders["data"])
     if "pairs" in needs:
-        folder = Path(PAIRS.format(**places))
+        folder = Path(PAIRS.format(**folders))
         number = len(np.load(folder / "transform.npy", mmap_mode="r"))
         files = [folder / part / f"{row}.npy" for part in ("original", "rotated") for row in range(number)]
         yield from absent(files, f"{folder}/transform.npy: clouds", USIP)

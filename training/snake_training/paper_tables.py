@@ -1,4 +1,4 @@
-"""What each table and figure of SNAKE (NeurIPS 2022) needs: data, networks, commands of snake-cli, and the paper's own figures.
+"""The needs of each table and figure of SNAKE (NeurIPS 2022): data, networks, commands of snake-cli, and the paper's own figures.
 
 In words, {data} is the folder of data, {lists} that of the released code's lists, {run} that of the results.
 """

@@ -8,13 +8,13 @@ distance the harmonic mean of the shares that are nearer. Methods: `middle` and 
 `poisson` is Open3D's Poisson reconstruction (`pip install open3d`).
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from .arguments import DATA, MODEL, option, parser_of
 from .augment import choose, normalize
 from .data import open_shapes
 
@@ -90,7 +90,7 @@ def methods(names, model, resolution):
 
 
 def view(shape, num_points, downsample, noise, rng):
-    """What a method sees of a shape (N, 3) of radius 1: some of `num_points` points, with noise."""
+    """A method's view of a shape (N, 3) of radius 1: some of `num_points` points, with noise."""
     points = choose(rng, shape, min(num_points, len(shape)) // downsample)
     return points + noise * rng.normal(size=points.shape)
 
@@ -118,19 +118,16 @@ def table(rows):
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.reconstruction",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("data", help="corpus folder, or folder of clouds and meshes")
-    parser.add_argument("--model", default="compact", help="built-in model, or weight file")
-    parser.add_argument("--methods", nargs="+", default=["middle", "level"], choices=("middle", "level", "poisson"))
-    parser.add_argument("--downsample", type=int, nargs="+", default=[8], help="one point in N is kept")
-    parser.add_argument("--noise", type=float, nargs="+", default=[0.03], help="standard deviation, in radii")
-    parser.add_argument("--num-points", type=int, default=5000, help="points of a cloud that is not thinned")
-    parser.add_argument("--resolution", type=int, default=64, help="samples of the occupancy along each axis")
-    parser.add_argument("--limit", type=int, help="so many shapes, evenly spaced; all by default")
+    names = "middle", "level", "poisson"
+    arguments = {
+        "--methods": option(["middle", "level"], "surfaces", str, nargs="+", choices=names),
+        "--downsample": option([8], "one point in N is kept", int, nargs="+"),
+        "--noise": option([0.03], "standard deviation, in radii", float, nargs="+"),
+        "--num-points": option(5000, "points of a cloud that is not thinned"),
+        "--resolution": option(64, "samples of the occupancy along each axis"),
+        "--limit": dict(type=int, help="so many shapes, evenly spaced; all by default"),
+    }
+    parser = parser_of("reconstruction", __doc__, DATA | MODEL | arguments)
     given = parser.parse_args(argv)
     conditions = [(1, 0.0), *((rate, 0.0) for rate in given.downsample), *((1, sigma) for sigma in given.noise)]
     try:

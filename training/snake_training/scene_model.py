@@ -12,7 +12,7 @@ from torch import nn
 
 from .model import Decoder, NetworkConfig, ResnetBlockFC, UNet3D, saliency_head
 
-# What the metadata of all networks of scenes say.
+# Metadata of all networks of scenes.
 FIXED = {
     "format": "snake-field", "format_version": "2", "coordinates": "voxel", "scatter": "soft",
 }  # fmt: skip

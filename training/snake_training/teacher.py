@@ -6,10 +6,9 @@ in differently turned copies of a cloud are nearly independent: their mean repea
 DeTone et al. 2018, averages over homographies for the same reason). A third of the copies has noise and a third is thinned, so
 that the mean is what survives both. Still no labels.
 
-Of several networks the target is the highest: one student learns the places of all.
+Of several networks the target is the highest: one student learns the keypoints of all.
 """
 
-import argparse
 import json
 import sys
 from dataclasses import dataclass, replace
@@ -21,6 +20,7 @@ from safetensors.numpy import load_file, save_file
 from torch.utils.data import DataLoader, Dataset
 from tqdm import tqdm
 
+from .arguments import option, parser_of
 from .augment import BOUND, choose, normalize, random_rotation
 from .config import setting
 from .data import Mixture, Procedural, open_all
@@ -71,7 +71,7 @@ def torch_teacher(network):
 
 
 def snake_rs_teacher(weights):
-    """The same by snake-rs, for weight files on a CPU."""
+    """A teacher by snake-rs, for weight files on a CPU."""
     import snake_rs
 
     model = snake_rs.Model.load(weights)
@@ -158,7 +158,7 @@ class Targets:
 
 
 class Draws(Dataset):
-    """What the teacher is asked of each shape: (cloud (N, 3), queries (Q, 3), clouds (K, N, 3), rotations (K, 3, 3))."""
+    """The teacher's input for each shape: (cloud (N, 3), queries (Q, 3), clouds (K, N, 3), rotations (K, 3, 3))."""
 
     def __init__(self, shapes, settings):
         self.shapes, self.settings = shapes, settings
@@ -215,15 +215,14 @@ def make_targets(output, weights, data, settings, device="cpu", workers=0):
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.teacher",
-        description="Write the saliency of networks on shapes, averaged over turned copies, for train --targets.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("weights", nargs="+", help="the teachers: safetensors exports, checkpoints or run folders")
-    parser.add_argument("-o", "--output", required=True, help="file to write, about 57 kB a shape")
-    parser.add_argument("--data", nargs="*", default=[], help="corpus folders, or folders of clouds or shards")
-    parser.add_argument("--device", default="cpu", help="torch device, for instance cuda")
+    arguments = {
+        "weights": dict(nargs="+", help="the teachers: safetensors exports, checkpoints or run folders"),
+        "-o": dict(dest="output", metavar="FILE", required=True, help="file to write, about 57 kB a shape"),
+        "--data": option([], "corpus folders, or folders of clouds or shards", str, nargs="*"),
+        "--device": option("cpu", "torch device, for instance cuda"),
+    }
+    about = "Write the saliency of networks on shapes, averaged over turned copies, for train --targets."
+    parser = parser_of("teacher", about, arguments)
     for name, field in TeacherSettings.__dataclass_fields__.items():
         parser.add_argument(f"--{name}", default=field.default, **{"type": field.type} | dict(field.metadata))
     given = vars(parser.parse_args(argv))

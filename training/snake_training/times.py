@@ -7,7 +7,6 @@ Of each number of points and of refinement steps J, the median seconds of a clou
 is that of snake_rs, with its default options, on as many points.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -18,6 +17,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from .arguments import DATA, MODEL, option, parser_of
 from .augment import choose
 from .data import open_shapes
 
@@ -70,17 +70,13 @@ def measure(shapes, model, points, steps, threads, folder):
 
 def main(argv=None):
     """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.times",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("data", help="corpus folder, or folder of clouds")
-    parser.add_argument("--model", default="compact", help="built-in model, or weight file")
-    parser.add_argument("--points", type=int, nargs="+", default=[2048, 4096])
-    parser.add_argument("--steps", type=int, nargs="+", default=[0, 5, 10], help="refinement steps J")
-    parser.add_argument("--limit", type=int, default=10, help="clouds at most")
-    parser.add_argument("--threads", type=int, help="of snake-cli; all by default")
+    arguments = {
+        "--points": option([2048, 4096], "numbers of points", int, nargs="+"),
+        "--steps": option([0, 5, 10], "refinement steps J", int, nargs="+"),
+        "--limit": option(10, "clouds at most"),
+        "--threads": dict(type=int, help="of snake-cli; all by default"),
+    }
+    parser = parser_of("times", __doc__, DATA | MODEL | arguments)
     given = parser.parse_args(argv)
     try:
         shapes = open_shapes(given.data)

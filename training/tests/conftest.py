@@ -5,6 +5,7 @@ import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -21,6 +22,15 @@ TINY = dict(
     grid_size=3, batch=2, steps=2, warmup=1, bf16=False, validate_every=100, validation_objects=1,
     validation_resolution=6,
 )  # fmt: skip
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def cloud(number=600, seed=3):
+    """A lopsided cloud far from the origin."""
+    return (rng(seed).normal(size=(number, 3)) * (3, 1, 0.5) + (10, -4, 2)).astype(np.float32)
 
 
 def pytest_configure(config):

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from snake_training.data import bodies, write_corpus
-from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, main, posed, rotation_by, surface_pair
-from snake_training.data.procedural import triangles
+from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, posed, rotation_by, surface_pair
+from snake_training.data.shapes import triangles
 from snake_training.data.skeletons import CLASSES, capsule, ellipsoid, toward
+from snake_training.make import main
 
 
 def two_poses(name, points=2000):
-    """The same body in two poses: both, and the same places of the surface on each, with their bones."""
+    """The same body in two poses: both, and the same points of the surface on each, with their bones."""
     rng = np.random.default_rng(5)
     bones = CLASSES[name](rng.random(bodies.NUM_PROPORTIONS))
     pair = [posed(bones, rng.uniform(-1, 1, (len(bones), 3))) for _ in range(2)]
@@ -32,8 +33,10 @@ def test_the_pose_moves_each_point_to_its_partner(name):
     first, second, one, other, bone = two_poses(name)
     for number in range(len(first.bones)):
         part = bone == number
-        local = (one[part] - first.places[number]) @ first.rotations[number]
-        np.testing.assert_allclose(local @ second.rotations[number].T + second.places[number], other[part], atol=1e-9)
+        local = (one[part] - first.positions[number]) @ first.rotations[number]
+        np.testing.assert_allclose(
+            local @ second.rotations[number].T + second.positions[number], other[part], atol=1e-9
+        )
         if part.sum() > 10:
             assert rigid(one[part], other[part]) < 1e-6
     # The pose is more than one motion of the whole.
@@ -47,7 +50,7 @@ def test_joints_hold_and_no_point_is_hidden(name):
         for number, limb in enumerate(body.bones):
             if limb.parent >= 0:
                 joint = body.moved(np.array([limb.parent]), np.array([limb.offset], float))
-                np.testing.assert_allclose(joint[0], body.places[number])
+                np.testing.assert_allclose(joint[0], body.positions[number])
             np.testing.assert_allclose(body.rotations[number] @ body.rotations[number].T, np.eye(3), atol=1e-12)
     assert not first.is_inside(one, bone).any() and not second.is_inside(other, bone).any()
 
@@ -63,8 +66,8 @@ def test_a_solid_contains_what_lies_below_its_surface():
 @pytest.mark.parametrize("name", CLASSES)
 def test_landmarks_are_tips_that_move_with_the_pose(name):
     first, second, *_ = two_poses(name)
-    (places, bone), (moved, _) = first.landmarks(), second.landmarks()
-    local = np.einsum("nji,nj->ni", first.rotations[bone], places - first.places[bone])
+    (positions, bone), (moved, _) = first.landmarks(), second.landmarks()
+    local = np.einsum("nji,nj->ni", first.rotations[bone], positions - first.positions[bone])
     np.testing.assert_allclose(second.moved(bone, local), moved, atol=1e-12)
     cloud, indices = annotated(name, 2048, 1, 0)
     assert cloud.dtype == np.float32 and 4 <= len(set(indices.tolist())) <= 16
@@ -79,11 +82,11 @@ def test_an_annotated_point_lies_at_its_landmark():
     bones = CLASSES["person"](rng.random(bodies.NUM_PROPORTIONS))
     body = posed(bones, rng.uniform(-1, 1, (len(bones), 3)))
     cloud, _, _ = surface_pair(body, body, 2048, rng)
-    places, _ = body.landmarks()
+    positions, _ = body.landmarks()
     points, indices = annotated("person", 2048, 1, 0)
     scale = np.linalg.norm(np.ptp(cloud, axis=0))
     np.testing.assert_allclose(np.ptp(points, axis=0) * scale, np.ptp(cloud, axis=0), rtol=1e-4)
-    assert np.linalg.norm(cloud[indices] - places, axis=1).max() < 0.06
+    assert np.linalg.norm(cloud[indices] - positions, axis=1).max() < 0.06
 
 
 def test_pairs_have_the_scale_of_the_first_body_and_a_seed():
@@ -92,7 +95,7 @@ def test_pairs_have_the_scale_of_the_first_body_and_a_seed():
     assert 0.6 < np.linalg.norm(other, axis=1).max() < 1.6 and np.abs(one - other).max() > 0.05
     again, _ = body_pair("chair", 512, 1, 2)
     assert (one == again).all() and (one != body_pair("chair", 512, 1, 10)[0]).any()
-    # A place keeps its neighbours: what is near on one body is near on the other.
+    # Neighbours on one body are neighbours on the other.
     near = np.linalg.norm(one[:, None] - one, axis=2) < 0.05
     assert np.linalg.norm(other[:, None] - other, axis=2)[near].max() < 0.3
 
@@ -144,7 +147,7 @@ def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
     index = [{"category": name} for name in ("animal", "chair", "character")]
     (tmp_path / "corpus/index.json").write_text(json.dumps(index))
     words = ["--number", "8", "--points", "256", "--corpus", str(tmp_path / "corpus"), "--bends", "2"]
-    main(["-o", str(tmp_path / "made"), *words])
+    main(["bodies", "-o", str(tmp_path / "made"), *words])
     assert [np.load(tmp_path / f"made/bent/body_{body}.npy").shape for body in (1, 2)] == [(4, 256, 3)] * 2
     assert {path.stem for path in (tmp_path / "made/annotated/annotations").glob("*.json")} == set(CLASSES)
     for name, what in (("annotated", "8 shapes of 8 classes"), ("posed", "8 pairs"), ("bent", "4 pairs")):
@@ -158,9 +161,9 @@ def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
 
 def test_what_cannot_be_written_is_refused(tmp_path, capsys):
     write_corpus(tmp_path / "corpus", [np.random.default_rng(1).normal(size=(300, 3))], 300)
-    few = ["-o", str(tmp_path / "made"), "--number", "8", "--points", "256"]
+    few = ["bodies", "-o", str(tmp_path / "made"), "--number", "8", "--points", "256"]
     for words, said in (
-        ([*few, "--number", "7"], "--number must be 8"),
+        ([*few, "--number", "7"], "number must be 8"),
         ([*few, "--corpus", str(tmp_path / "none")], "none"),
         ([*few, "--corpus", str(tmp_path / "corpus")], "no shape of the categories animal, character"),
     ):

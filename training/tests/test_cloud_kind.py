@@ -3,7 +3,7 @@
 import numpy as np
 
 from snake_training.cloud_kind import fit, score, signs, torus
-from snake_training.data.kinds import KINDS, scene_cloud
+from snake_training.data.sensors import SCENE_KINDS, scene_cloud
 
 
 def test_the_fit_finds_the_log_odds():
@@ -20,7 +20,7 @@ def test_the_fit_finds_the_log_odds():
 def test_made_scenes_are_of_all_kinds_and_have_signs():
     rng = np.random.default_rng(1)
     made = [scene_cloud(rng) for _ in range(12)]
-    assert {kind for kind, _ in made} <= set(KINDS) and len({kind for kind, _ in made}) > 3
+    assert {kind for kind, _ in made} <= set(SCENE_KINDS) and len({kind for kind, _ in made}) > 3
     assert all(cloud.shape[1] == 3 and np.isfinite(cloud).all() and len(cloud) > 100 for _, cloud in made)
     rows = signs(cloud for _, cloud in made)
     assert rows.shape == (12, 8) and np.isfinite(rows).all()

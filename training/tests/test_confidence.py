@@ -10,7 +10,8 @@ from safetensors.numpy import load_file, save_file
 from scipy.spatial import cKDTree
 
 from snake_training.confidence import calibration_error, fit, isotonic, main, repeated, write_map
-from snake_training.data import Procedural, drives, frames
+from snake_training.data import Procedural
+from snake_training.make import main as make
 
 
 def test_isotonic_values_rise_and_keep_their_mean():
@@ -51,15 +52,15 @@ def test_the_map_changes_nothing_else_in_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "module, options, distance",
+    "kind, options, distance",
     [
-        pytest.param(frames, ["--pairs", "2"], 0.05, marks=pytest.mark.nightly),
-        (drives, ["--drives", "1", "--sweeps", "3"], 0.3),
+        pytest.param("frames", ["--pairs", "2"], 0.05, marks=pytest.mark.nightly),
+        ("drives", ["--drives", "1", "--sweeps", "3"], 0.3),
     ],
 )
-def test_made_pairs_show_the_same_surface(module, options, distance, tmp_path, capsys):
+def test_made_pairs_show_the_same_surface(kind, options, distance, tmp_path, capsys):
     for name in ("first", "again"):
-        module.main(["-o", str(tmp_path / name), *options])
+        make([kind, "-o", str(tmp_path / name), *options])
     assert (tmp_path / "first/pairs.json").read_text() == (tmp_path / "again/pairs.json").read_text()
     pairs = json.loads((tmp_path / "first/pairs.json").read_text())
     assert len(pairs) == 2
@@ -73,7 +74,7 @@ def test_made_pairs_show_the_same_surface(module, options, distance, tmp_path, c
         assert moved < distance and moved < 0.5 * as_it_is
     for wrong in ("--pairs", "--drives"):
         with pytest.raises(SystemExit):
-            module.main(["-o", str(tmp_path / "none"), wrong, "0"])
+            make([kind, "-o", str(tmp_path / "none"), wrong, "0"])
 
 
 def test_a_fit_needs_clouds(tmp_path, capsys):

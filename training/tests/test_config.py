@@ -73,7 +73,7 @@ def test_help_explains_every_setting_with_the_presets_value(preset, capsys):
         ({"ema_decay": 1.0}, "ema_decay must be within"),
         ({"max_downsampling": 0.5}, "max_downsampling must be 1 or more"),
         ({"degraded_share": -0.1}, "degraded_share must be within"),
-        ({"max_noise": math.nan}, "max_noise must be 0 or more"),
+        ({"jitter_clip": math.nan}, "jitter_clip must be 0 or more"),
         ({"num_targets": 0}, "num_targets must be positive, got 0"),
         ({"fresh_saliency": True}, "fresh_saliency needs init"),
         ({"resolution": 4, "unet_levels": 4}, "4 levels do not fit a volume of 4 voxels"),

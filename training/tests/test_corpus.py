@@ -9,7 +9,8 @@ import trimesh
 from conftest import FOLDER
 from snake_training.data import Corpus, corpus
 from snake_training.data.assemblies import MeshError, triangles_of
-from snake_training.data.corpus import Entry, build, check, entries_of, main, read_list, spread, summary, write_list
+from snake_training.data.corpus import Entry, build, check_points, entries_of, read_list, spread, summary, write_list
+from snake_training.make import main
 
 SHARED = FOLDER.parent / "shared/data/objects"
 
@@ -44,7 +45,7 @@ def entry(source, path, faces=12, spread="0.5,0.3,0.2", split="train", digest="0
 
 
 def listed():
-    """What the clones hold and what they lack."""
+    """Entries that the clones hold, and entries that they lack."""
     return [
         entry("us/boxes", "crate.obj"),
         entry("us/boxes", "broken.stl"),
@@ -162,7 +163,7 @@ def test_the_list_is_that_of_the_corpus():
     commits = {entry.source: entry.commit for entry in entries}
     assert [entry for split in ("train", "val") for entry in entries_of(SHARED / split, split, commits)] == entries
     assert (
-        next(check(entries, [SHARED / "train", SHARED / "val"]))
+        next(check_points(entries, [SHARED / "train", SHARED / "val"]))
         == "2207 of 2207 listed objects have the same points here"
     )
 
@@ -170,15 +171,15 @@ def test_the_list_is_that_of_the_corpus():
 def test_the_command_makes_prints_and_checks(clones, tmp_path, monkeypatch, capsys):
     write_list(listed(), tmp_path / "list.gz")
     monkeypatch.setattr(corpus, "read_list", lambda: read_list(tmp_path / "list.gz"))
-    main([str(clones), "-o", str(tmp_path / "made")])
+    main(["corpus", str(clones), "-o", str(tmp_path / "made")])
     assert "3 of 6 objects" in capsys.readouterr().out
-    main([])
+    main(["corpus"])
     assert "git clone https://github.com/us/boxes CLONES/us/boxes\n" in capsys.readouterr().out
-    main(["--check", str(tmp_path / "made/train")])
+    main(["corpus", "--check", str(tmp_path / "made/train")])
     assert capsys.readouterr().out.startswith("0 of 6 listed objects have the same points here\n")
     for wrong, said in (([str(clones)], "-o names"), ([str(tmp_path / "none"), "-o", "x"], "no such folder")):
         with pytest.raises(SystemExit):
-            main(wrong)
+            main(["corpus", *wrong])
         assert said in capsys.readouterr().err
 
 

@@ -1,27 +1,15 @@
-"""Two-view samples and the collections of clouds they are made from."""
+"""Two-view samples, and procedural shapes."""
 
 import dataclasses
-import io
-import json
-import tarfile
 
 import numpy as np
 import pytest
-import trimesh
 
+from conftest import cloud, rng
 from snake_training.augment import BOUND, choose, normalize, random_rotation, two_views, within_bounds
-from snake_training.data import Corpus, Folder, Mixture, Procedural, ShapeError, open_shapes
-from snake_training.data.procedural import RECIPES, box, cone, sample_surface, tube
+from snake_training.data import Procedural
+from snake_training.data.shapes import RECIPES, box, cone, sample_surface, tube
 from snake_training.tasks.objects import make_batch
-
-
-def rng(seed=0):
-    return np.random.default_rng(seed)
-
-
-def cloud(number=600, seed=3):
-    """A lopsided cloud far from the origin."""
-    return (rng(seed).normal(size=(number, 3)) * (3, 1, 0.5) + (10, -4, 2)).astype(np.float32)
 
 
 def occupancy_queries(views, config):
@@ -32,34 +20,6 @@ def occupancy_queries(views, config):
 def local_grids(views, config):
     """Local grids (2, G, H^3, 3) of two views."""
     return views["queries"][:, 2 * config.num_occupancy :].reshape(2, config.num_grids, -1, 3)
-
-
-# Clouds of files
-
-
-def test_points_in_columns_are_refused_as_detection_does(tmp_path):
-    np.save(tmp_path / "columns.npy", cloud().T)
-    with pytest.raises(ShapeError, match="transpose 600 points in 3 rows"):
-        open_shapes(tmp_path)[0]
-
-
-def test_georeferenced_clouds_keep_their_digits_and_lose_their_outliers(tmp_path):
-    near, far = cloud(4000).astype(np.float64), np.array([500123.25, 5412345.75, 431.5])
-    stored = {
-        "near": near,
-        "far": near + far,
-        "zero": np.r_[near + far, [[0, 0, 0]]],
-        "outlier": np.r_[near, [[1e4, 0, 0]]],
-    }
-    for name, points in stored.items():
-        np.save(tmp_path / f"{name}.npy", points)
-    read = {path.stem: Folder(tmp_path)[row] for row, path in enumerate(Folder(tmp_path).files)}
-    assert np.array_equal(read["near"], near.astype(np.float32))
-    assert np.array_equal(read["outlier"], read["near"])
-    for name in ("far", "zero"):
-        assert len(np.unique(read[name], axis=0)) == 4000
-        shift = read[name] - read["near"]
-        assert np.abs(shift - shift[0]).max() < 1e-5
 
 
 # Normalisation
@@ -208,17 +168,12 @@ def test_the_number_of_points_is_constant(tiny, number):
     assert views["inside"].shape == (2, 8, 27)
 
 
-def test_a_share_of_second_views_is_degraded_or_one_sided(tiny):
-    config = tiny(num_points=600, degraded_share=1.0, max_thinning=16.0, max_noise=0.045, with_replacement=False)
+def test_a_share_of_second_views_is_degraded(tiny):
+    config = tiny(num_points=600, degraded_share=1.0, with_replacement=False)
     samples = [two_views(cloud(), config, rng(seed)) for seed in range(40)]
     distinct = [len(np.unique(sample["points"][1], axis=0)) for sample in samples]
     assert min(distinct) < 100 and max(distinct) == 600
     assert all(len(np.unique(sample["points"][0], axis=0)) == 600 for sample in samples)
-    config = tiny(num_points=600, partial_share=1.0, max_downsampling=1.0, jitter_sigma=0.0, with_replacement=False)
-    ball = rng().normal(size=(2000, 3))
-    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-    one_sided = two_views(ball.astype(np.float32), config, rng())["points"][1]
-    assert (one_sided[:, 2] > 0.1).mean() < 0.1  # what the camera sees, which looks along z
 
 
 def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
@@ -228,7 +183,7 @@ def test_downsampling_thins_the_second_view_by_up_to_the_rate(tiny):
 
 
 def test_views_have_as_many_distinct_points_as_the_released_codes(tiny):
-    """Of 5000 drawn from 8192 points it has 3740 in the first view and 1898 in the second, on average over the rates."""
+    """It has 3740 of 5000 drawn from 8192 points in the first view and 1898 in the second, on average over the rates."""
     config = tiny(num_points=5000, max_downsampling=4.0, jitter_sigma=0.0)
     points = [two_views(cloud(8192), config, rng(seed))["points"] for seed in range(30)]
     distinct = np.mean([[len(np.unique(view, axis=0)) for view in views] for views in points], axis=0)
@@ -266,7 +221,7 @@ def released_second_view(points, draws):
 
 
 def test_the_second_view_of_a_room_is_cut_between_shift_and_recentring(tiny):
-    """As the released code cuts 3DMatch's: else the shift of up to 0.3 would cancel, and both views would see the same."""
+    """The released code cuts 3DMatch's so: else the shift of up to 0.3 would cancel, and both views would see the same."""
     given = dict(translation=0.3, recenter=True, normalization="unit-cube", rotation="euler", jitter_sigma=0.0)
     config = tiny(num_points=2000, max_downsampling=1.0, with_replacement=False, **given)
     points, shares = room(2000), []
@@ -339,7 +294,7 @@ def test_procedural_rows_are_seeded_and_differ():
 
 def test_stretching_keeps_a_shape_in_one_piece(monkeypatch):
     """A box stays closed: on every face plane of its bounding box there are points up to all four edges."""
-    monkeypatch.setattr("snake_training.data.procedural.RECIPES", (lambda generator: box((1.0, 1.0, 1.0)),))
+    monkeypatch.setattr("snake_training.data.shapes.RECIPES", (lambda generator: box((1.0, 1.0, 1.0)),))
     points = Procedural(points=4096).cloud(rng())
     half = np.abs(points).max(axis=0)
     assert not np.allclose(half, 0.5, atol=0.02)  # it is stretched
@@ -356,174 +311,3 @@ def test_primitives_have_their_sizes():
     path = np.stack([np.linspace(0, 1, 5), np.zeros(5), np.zeros(5)], axis=1)
     points = sample_surface(tube(path, 0.1), 500, rng())
     assert np.linalg.norm(points[:, 1:], axis=1) == pytest.approx(0.1, abs=0.01)
-
-
-# Collections
-
-
-def write_corpus(folder, shapes=3):
-    folder.mkdir()
-    points = rng(1).integers(-32767, 32768, (shapes, 50, 3)).astype(np.int16)
-    np.save(folder / "points.npy", points)
-    (folder / "index.json").write_text(json.dumps([{"name": str(i)} for i in range(shapes)]))
-    return points
-
-
-def test_corpus_rows_are_unit_spheres(tmp_path):
-    points = write_corpus(tmp_path / "corpus")
-    shapes = open_shapes(tmp_path / "corpus")
-    assert isinstance(shapes, Corpus) and len(shapes) == 3
-    assert np.array_equal(shapes[1], points[1].astype(np.float32) / 32767)
-    drawn = shapes.cloud(rng())
-    assert any(np.array_equal(drawn, shapes[row]) for row in range(3))
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("points.npy", np.zeros((3, 50, 3), np.float32), "expected int16"),
-        ("points.npy", np.zeros((3, 50, 2), np.int16), "expected int16"),
-        ("points.npy", np.zeros((0, 50, 3), np.int16), "expected int16"),
-        ("points.npy", np.zeros((4, 50, 3), np.int16), "index.json has 3 rows, points.npy has 4"),
-        ("points.npy", b"not an array", "not a readable NPY"),
-        ("index.json", b"[1, 2", "index.json"),
-        ("index.json", None, "index.json"),
-    ],
-)
-def test_a_bad_corpus_is_a_clear_error(tmp_path, name, content, message):
-    write_corpus(tmp_path / "corpus")
-    path = tmp_path / "corpus" / name
-    path.unlink()
-    if isinstance(content, bytes):
-        path.write_bytes(content)
-    elif content is not None:
-        np.save(path, content)
-    with pytest.raises(ValueError, match=message):
-        Corpus(tmp_path / "corpus")
-
-
-def test_folder_reads_arrays_clouds_and_meshes_below_it(tmp_path):
-    points = cloud(40)
-    np.save(tmp_path / "a.npy", np.concatenate([points, np.full((1, 3), np.nan, np.float32)]))  # NaN rows are dropped
-    np.save(tmp_path / "b.npy", np.concatenate([points, points], axis=1).astype(np.float64))  # x y z nx ny nz
-    (tmp_path / "below").mkdir()
-    trimesh.PointCloud(points).export(tmp_path / "below" / "c.ply")
-    trimesh.creation.box((2, 2, 2)).export(tmp_path / "below" / "d.PLY")
-    (tmp_path / "notes.txt").write_text("ignored")
-    shapes = open_shapes(tmp_path)
-    assert isinstance(shapes, Folder) and [p.name for p in shapes.files] == ["a.npy", "b.npy", "c.ply", "d.PLY"]
-    for row in range(3):
-        assert np.allclose(shapes[row], points, atol=1e-5) and shapes[row].dtype == np.float32
-    mesh = shapes[3]
-    assert mesh.shape == (8192, 3) and np.allclose(np.abs(mesh).max(axis=1), 1, atol=1e-5)  # on the surface
-    assert np.array_equal(mesh, shapes[3])
-    assert shapes.cloud(rng()).shape[1] == 3
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("x.npy", np.zeros((5, 2)), r"expected \(N, 3\) numbers, found float64 \(5, 2\)"),
-        ("x.npy", np.zeros(9), r"expected \(N, 3\) numbers"),
-        ("x.npy", np.zeros((5, 3), complex), "complex128"),
-        ("x.npy", np.array([["a"] * 3]), "expected"),
-        ("x.npy", np.array([{"pickled": 1}]), "not a readable NPY"),
-        ("x.npy", np.full((5, 3), np.nan), "two different finite points"),
-        ("x.npy", np.ones((5, 3)), "two different finite points"),
-        ("x.npy", np.zeros((0, 3)), "NPY|two different"),
-        ("x.npy", b"", "not a readable NPY"),
-        ("x.npy", b"\x93NUMPY\x01\x00 nonsense", "not a readable NPY"),
-        ("x.ply", b"", "x.ply"),
-        ("x.ply", b"plyish", "x.ply"),
-        ("x.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n0\n1\n", "x.ply"),
-    ],
-)
-def test_a_bad_file_is_a_clear_error_with_its_name(tmp_path, name, content, message):
-    if isinstance(content, bytes):
-        (tmp_path / name).write_bytes(content)
-    else:
-        np.save(tmp_path / name, content, allow_pickle=True)
-    with pytest.raises(ValueError, match=message) as error:
-        Folder(tmp_path)[0]
-    assert name in str(error.value)
-
-
-def test_folders_without_shapes_say_so(tmp_path):
-    with pytest.raises(ValueError, match="neither points.npy"):
-        open_shapes(tmp_path)
-    with pytest.raises(ValueError, match="no such folder"):
-        open_shapes(tmp_path / "absent")
-
-
-class Named:
-    """Shapes that are their own name."""
-
-    def __init__(self, *names):
-        self.names = names
-
-    def __len__(self):
-        return len(self.names)
-
-    def __getitem__(self, row):
-        return self.names[row]
-
-
-def test_mixture_draws_every_shape_equally_and_has_all_rows():
-    shapes = Mixture([Named("a"), Named("b", "c", "d")], 0.0)
-    assert len(shapes) == 4 and [shapes[row] for row in range(4)] == ["a", "b", "c", "d"]
-    with pytest.raises(IndexError):
-        shapes[4]
-    generator = rng()
-    drawn = [shapes.cloud(generator) for _ in range(2000)]
-    assert all(abs(drawn.count(name) - 500) < 80 for name in "abcd")  # standard deviation 19
-
-
-def test_mixture_share_of_procedural_shapes():
-    shapes = Mixture([Named("a")], 0.25)
-    shapes.procedural = Procedural(points=2)
-    generator = rng()
-    drawn = [isinstance(shapes.cloud(generator), str) for _ in range(400)]
-    assert abs(np.mean(drawn) - 0.75) < 0.09  # four standard deviations
-    assert Mixture([], 0.0).cloud(rng()).shape == (4096, 3)  # with no data, all shapes are procedural
-
-
-# Shards
-
-
-def write_shard(path, members):
-    """A shard as WebDataset writes it: the members of a sample share a name up to the first dot."""
-    with tarfile.open(path, "w") as tar:
-        for name, content in members.items():
-            if isinstance(content, np.ndarray):
-                file = io.BytesIO()
-                np.save(file, content)
-                content = file.getvalue()
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            tar.addfile(member, io.BytesIO(content))
-
-
-def test_shards_have_the_clouds_of_their_members(tmp_path):
-    clouds = [cloud(50, seed) for seed in range(3)]
-    write_shard(tmp_path / "0.tar", {"a.npy": clouds[0], "a.json": b"{}", "b.points.npy": clouds[1]})
-    write_shard(tmp_path / "1.tar", {"c.npy": np.concatenate([clouds[2], np.full((1, 3), np.nan, np.float32)])})
-    shapes = open_shapes(tmp_path)
-    assert len(shapes) == 3
-    assert all(np.array_equal(shapes[row], clouds[row]) for row in range(3))
-    assert any(np.array_equal(shapes.cloud(rng()), points) for points in clouds)
-
-
-def test_bad_shards_are_named(tmp_path):
-    write_shard(tmp_path / "0.tar", {"a.npy": b"no array", "b.npy": np.ones((4, 2)), "c.npy": np.array([{}])})
-    for row, reason in enumerate(
-        ["0.tar: a.npy: not a readable", r"b.npy: expected \(N, 3\)", "c.npy: not a readable"]
-    ):
-        with pytest.raises(ShapeError, match=reason):
-            open_shapes(tmp_path)[row]
-    (tmp_path / "1.tar").write_bytes(b"no archive" * 100)
-    with pytest.raises(ShapeError, match="1.tar: not a readable shard"):
-        open_shapes(tmp_path)
-    (tmp_path / "2").mkdir()
-    write_shard(tmp_path / "2" / "0.tar", {"a.json": b"{}"})
-    with pytest.raises(ShapeError, match="no .npy member"):
-        open_shapes(tmp_path / "2")

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from snake_training.data.landmarks import RECIPES, boxes, landmarks, main
+from snake_training.data.landmarks import RECIPES, boxes, landmarks
+from snake_training.make import main
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -15,18 +16,18 @@ def test_landmarks_are_points_of_a_shape_of_radius_one_and_stand_apart(name):
     assert (points == again).all() and points.dtype == np.float32
     assert np.linalg.norm(points, axis=1).max() == pytest.approx(1, abs=1e-5)
     assert 7 <= len(indices) <= 16
-    places = points[indices]
-    assert np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(places), 1)].min() > 0.02
+    marks = points[indices]
+    assert np.linalg.norm(marks[:, None] - marks, axis=2)[np.triu_indices(len(marks), 1)].min() > 0.02
 
 
 def test_the_landmarks_of_a_box_are_its_extreme_points():
-    patches, places = boxes(np.random.default_rng(1))
+    patches, marks = boxes(np.random.default_rng(1))
     vertices = np.concatenate([patch.reshape(-1, 3) for patch in patches])
-    assert (np.abs(places[:8]) == np.abs(vertices[:24]).max(axis=0)).all()
+    assert (np.abs(marks[:8]) == np.abs(vertices[:24]).max(axis=0)).all()
 
 
 def test_the_folder_has_keypointnets_layout(tmp_path):
-    main(["-o", str(tmp_path), "--number", "12", "--points", "512"])
+    main(["landmarks", "-o", str(tmp_path), "--number", "12", "--points", "512"])
     for name in RECIPES:
         rows = json.loads((tmp_path / "annotations" / f"{name}.json").read_text())
         assert len(rows) == 2
@@ -42,5 +43,5 @@ def test_the_folder_has_keypointnets_layout(tmp_path):
 
 def test_too_few_shapes_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
-        main(["-o", str(tmp_path), "--number", "3"])
-    assert "--number must be" in capsys.readouterr().err
+        main(["landmarks", "-o", str(tmp_path), "--number", "3"])
+    assert "number must be" in capsys.readouterr().err

@@ -11,7 +11,7 @@ CONFIG = NetworkConfig((5, 4, 3), unet_levels=1, unet_base_channels=8, c_dim=8, 
 
 
 def coordinates(axis, number):
-    """Voxel coordinate of `number` places along an axis, in network units."""
+    """Voxel coordinate of `number` positions along an axis, in network units."""
     return (torch.arange(number) / (number - 1) - 0.5) * (1 + CONFIG.padding)
 
 
@@ -22,8 +22,8 @@ def plain(points, features):
     limit = 0.5 * (1 + CONFIG.padding)
     for point, feature in zip(points.clamp(-limit, limit), features):
         tents = [
-            (1 - (point[axis] - places).abs() / (places[1] - places[0])).clamp(min=0)
-            for axis, places in enumerate((x, y, z))
+            (1 - (point[axis] - positions).abs() / (positions[1] - positions[0])).clamp(min=0)
+            for axis, positions in enumerate((x, y, z))
         ]
         weight = tents[2][:, None, None] * tents[1][None, :, None] * tents[0][None, None, :]
         mass += weight

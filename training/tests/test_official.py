@@ -53,7 +53,7 @@ def shape(seed, points=300):
 
 
 def write_pcd(path, points):
-    """As the authors' files: ASCII, with a colour."""
+    """A file like the authors': ASCII, with a colour."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = "".join(f"{x:.6f} {y:.6f} {z:.6f} 16711680\n" for x, y, z in points)
     number = len(points)

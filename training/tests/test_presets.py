@@ -75,7 +75,7 @@ def test_the_best_validation_is_of_the_least_total_loss(tiny):
 
 
 def recommended(path):
-    """What a weight file says."""
+    """The metadata of a weight file."""
     with safe_open(path, "pt") as file:
         return file.metadata().get("recommended_options")
 
@@ -131,13 +131,13 @@ def test_given_metadata_overrides_the_preset(tmp_path, official):
 
 
 def checkpoint(config, network):
-    """What a run of these settings saves, without Adam."""
+    """The checkpoint of a run of these settings, without Adam."""
     own = {"settings": to_json(config), "network_config": network.config.to_metadata()}
     return own | {"step": 1, "began": 0, "best": 0.0, "ema": network.state_dict()}
 
 
 def test_a_fine_tuned_export_keeps_the_options_of_its_start(tmp_path, tiny, network):
-    """From a weight file, and from a run that began with one."""
+    """An export recommends them from a weight file, and from a run that began with one."""
     options = '{"detect":{"nms_radius":"10%"}}'
     start = tmp_path / "start.safetensors"
     write_weights(start, network.config, network.state_dict(), extra={"recommended_options": options})
@@ -164,7 +164,7 @@ def test_a_resumed_run_keeps_the_options_of_its_start_when_that_is_gone(tmp_path
 def test_an_export_recommends_what_the_official_yaml_says_or_says_that_it_does_not(
     tmp_path, official, capsys, data, grid, resolution, preset
 ):
-    """By the command that the page of the paper's tables has: KeypointNet, SMPL and Redwood do not detect as ModelNet40."""
+    """The page's command is enough: KeypointNet, SMPL and Redwood do not detect as ModelNet40."""
     (tmp_path / "config.yaml").write_text(YAML.format(data, grid, [resolution] * 3))
     export([str(official), "-o", str(tmp_path / "out.safetensors"), "--yaml", str(tmp_path / "config.yaml"), *FLAGS])
     assert recommended(tmp_path / "out.safetensors") == (PRESETS[preset]["recommended_options"] if preset else None)

@@ -20,7 +20,7 @@ COMMANDS = [
     for line in block.replace("\\\n", " ").splitlines()
     if line.strip()
 ]
-# What makes a command of the page small, by its module; the later ones override the page's own.
+# Options that make a command of the page small, by its module; the later ones override the page's own.
 SMALL = {
     "snake_training.curve": ["--num-points", "100", "--limit", "1"],
     "snake_training.times": ["--points", "100", "--steps", "0", "1", "--limit", "1"],
@@ -29,7 +29,7 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def folder(tmp_path_factory):
     """A folder with data/, and an official checkpoint with its configuration."""
     folder = tmp_path_factory.mktemp("paper")
     official_folder(folder / "data")
@@ -42,13 +42,13 @@ def place(tmp_path_factory):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch, capsys):
-    """In the order of the page, in one folder of runs: networks are trained once. The tables have figures of both."""
+def test_a_command_of_the_page_runs(folder, snake_cli, command, monkeypatch, capsys):
+    """The commands run in the order of the page, in one folder of runs: networks are trained once. The tables have figures of both."""
     words = shlex.split(command)
     assert words[:2] == ["python", "-m"]
     if words[2] == "snake_training.paper":
         words += ["--smoke", "--seeds", "1", "--device", "cpu", "--snake-cli", snake_cli.path]
-    monkeypatch.chdir(place)
+    monkeypatch.chdir(folder)
     words += SMALL.get(words[2], [])
     monkeypatch.setenv("SNAKE_CLI", snake_cli.path)
     monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
@@ -64,7 +64,7 @@ def test_a_command_of_the_page_runs(place, snake_cli, command, monkeypatch, caps
             assert any(paper != "-" for paper, _ in rows), printed
         elif name in ITEMS:
             outputs = [picture.words.split()[-1].format(run="runs/paper") for picture in ITEMS[name].pictures]
-            assert outputs and all((place / output).stat().st_size > 100 for output in outputs)
+            assert outputs and all((folder / output).stat().st_size > 100 for output in outputs)
 
 
 def test_the_page_has_every_item_of_the_driver():

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,7 +91,17 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     train(config)
     run = Path(config.run_dir)
     assert from_json((run / "config.json").read_text()) == config
-    assert set(state(config)) == {"settings", "network_config", "step", "began", "best", "network", "ema", "optimizer"}
+    assert set(state(config)) == {
+        "settings",
+        "network_config",
+        "step",
+        "spent",
+        "began",
+        "best",
+        "network",
+        "ema",
+        "optimizer",
+    }
     assert state(config)["step"] == 2 and from_json(state(config)["settings"]) == config
     assert state(config, "best.pt")["best"] >= 0
     logged = scalars(config)
@@ -101,7 +112,7 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     assert {name.removeprefix("validation/") for name in logged if "validation/" in name} == losses | measured | health
     assert all(math.isfinite(value) for steps in logged.values() for value in steps.values())
     assert not list(run.glob("*.partial"))
-    # What is exported is the average, in a network that detection can use.
+    # The export has the average, in a network that detection can use.
     average = load_network(run)
     assert average.config == config.network
     saved = state(config, "best.pt")["ema"]
@@ -148,6 +159,23 @@ def test_resuming_continues_bit_for_bit(tiny, tmp_path):
     assert sum("/exp_avg" in path for path in expected) > 100
 
 
+def test_the_rate_falls_by_time_over_two_calls_bit_for_bit(tiny, tmp_path, monkeypatch):
+    """A clock that ticks once a step: eight ticks at once, and four with four to come later."""
+    rates, rate = [], training.learning_rate
+    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(len(rates))))
+    monkeypatch.setattr(training, "learning_rate", lambda *given: rates.append(rate(*given)) or rates[-1])
+    config = tiny(steps=1000, learning_rate=0.01, optimizer="adam", weight_decay=0.0)
+    assert training.run(Objects(config), tmp_path / "whole", "cpu", 8 / 60, later=0)
+    whole, rates[:] = list(rates), []
+    assert not training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=4 / 60)
+    assert training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=0)
+    assert rates == whole and len(rates) == 8
+    assert rates == pytest.approx([0.005 * (1 + math.cos(math.pi * step / 8)) for step in range(8)])
+    one, two = (torch.load(tmp_path / name / "last.pt", weights_only=True) for name in ("whole", "parts"))
+    assert (one["step"], one["spent"]) == (two["step"], two["spent"]) == (8, 1.0)
+    assert all(torch.equal(tensor, two["network"][name]) for name, tensor in one["network"].items())
+
+
 def test_a_finished_run_is_left_as_it_is_and_another_network_is_refused(tiny):
     config = tiny()
     train(config)
@@ -186,7 +214,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
     assert first.keys() == second.keys()
     for path, value in first.items():
         if isinstance(value, torch.Tensor):
-            # Of weights that start at zero, Adam's epsilon shows in the first steps where gradients are tiny.
+            # Weights that start at zero show Adam's epsilon in the first steps, where gradients are tiny.
             share = 1e-4 if path.startswith("/optimizer") else 3e-3
             tolerance = share * value.abs().max().item() + 1e-9
             assert (value - second[path]).abs().max().item() <= tolerance, path
@@ -196,7 +224,7 @@ def test_two_processes_train_like_one(tiny, tmp_path):
 
 
 def test_unequal_masks_in_the_two_process_test(tiny):
-    """What the test above relies on: its two halves of a batch differ in the number of grids that count."""
+    """A premise of the test above: its two halves of a batch differ in the number of grids that count."""
     config = tiny(batch=4, translation=0.5)
     counts = []
     for first in range(0, 8, 2):

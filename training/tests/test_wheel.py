@@ -1,4 +1,4 @@
-"""What `pip install ./training` installs is whole: its wheel, in an environment of its own, away from the repository."""
+"""`pip install ./training` installs everything: its wheel, in an environment of its own, away from the repository."""
 
 import os
 import shutil

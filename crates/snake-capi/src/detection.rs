@@ -2,7 +2,7 @@
 
 use std::ffi::{CString, c_char};
 
-use snake_core::{Chooser, Control, Keypoint, printable};
+use snake_core::{Control, Keypoint, printable};
 
 use crate::arguments::{SnakeCloud, check_output, input, options as parse_options};
 use crate::model::{SnakeModel, free};
@@ -70,7 +70,7 @@ pub unsafe extern "C" fn snake_detect(
         let (model, points, values) =
             unsafe { (input("model", model)?, cloud.read("cloud")?, parse_options(options)?) };
         let (found, chosen) = run(|| {
-            let chosen = Chooser::new(model.choice.clone(), &values)?.for_points(&points)?;
+            let chosen = model.chooser.with_values(&values)?.for_points(&points)?;
             Ok((chosen.detect(&Control::default())?, chosen))
         })?;
         let notes = chosen.notes().into_iter().chain(chosen.cluster_hint(&found));

@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-use snake_core::{Model, ModelChoice, NamedModel};
+use snake_core::{Chooser, Model, NamedModel};
 
 use crate::arguments::{check_output, text, values};
 use crate::status::{Result, SnakeStatus, guarded};
@@ -10,7 +10,7 @@ use crate::threads::run;
 
 /// A network with its weights, or the choice between those that are built in. Several threads may use one at the same time.
 pub struct SnakeModel {
-    pub(crate) choice: ModelChoice,
+    pub(crate) chooser: Chooser,
 }
 
 /// Puts the model of a source on the heap, or a null pointer if there is none.
@@ -20,13 +20,13 @@ pub struct SnakeModel {
 unsafe fn store<T: Send>(
     place: *mut *mut SnakeModel,
     source: Result<T>,
-    load: impl FnOnce(T) -> Result<ModelChoice> + Send,
+    load: impl FnOnce(T) -> Result<Chooser> + Send,
 ) -> SnakeStatus {
     guarded(|| {
         check_output("model", place)?;
         // SAFETY: the place is neither null nor misaligned; the caller vouches for the rest.
         unsafe { place.write(std::ptr::null_mut()) };
-        let model = Box::new(SnakeModel { choice: run(|| load(source?))? });
+        let model = Box::new(SnakeModel { chooser: run(|| load(source?))? });
         // SAFETY: as above.
         unsafe { place.write(Box::into_raw(model)) };
         Ok(())
@@ -43,7 +43,7 @@ unsafe fn store<T: Send>(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn snake_model_auto(model: *mut *mut SnakeModel) -> SnakeStatus {
     // SAFETY: the caller vouches for the place.
-    unsafe { store(model, Ok(()), |()| Ok(ModelChoice::default())) }
+    unsafe { store(model, Ok(()), |()| Ok(Chooser::default())) }
 }
 
 /// A built-in model: "compact" or "standard" for objects, "scenes" for rooms, sweeps and terrain. `*model` is null after an error.

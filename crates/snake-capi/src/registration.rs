@@ -2,8 +2,7 @@
 
 use std::ffi::c_char;
 
-use serde_json::Map;
-use snake_core::{Chooser, Control, ModelChoice, with_named_values};
+use snake_core::{Control, with_named_values};
 use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 use crate::arguments::{SnakeCloud, check_output, optional, options as parse_options};
@@ -79,10 +78,10 @@ pub unsafe extern "C" fn snake_register(
         let values = unsafe { parse_options(options) }?;
         let defaults = (RegisterOptions::default(), PairOptions::default());
         let (options, pair_options) = with_named_values(&defaults, &values)?;
-        let is_used = |model: &&SnakeModel| options.needs_model() || matches!(model.choice, ModelChoice::Named(_));
+        let is_used = |model: &&SnakeModel| options.needs_model() || model.chooser.is_named();
         let model = model.filter(is_used);
         let result = run(|| {
-            let choose = |model: &SnakeModel| Chooser::new(model.choice.clone(), &Map::new())?.for_points(&target);
+            let choose = |model: &SnakeModel| model.chooser.for_points(&target);
             let chosen = model.map(choose).transpose()?;
             let model = chosen.as_ref().map(|chosen| &chosen.model);
             Ok(register_with(&source, &target, model, &options, &pair_options, &Control::default())?)

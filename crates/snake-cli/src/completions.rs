@@ -1,4 +1,4 @@
-//! What shells and `man` need: completion scripts and manual pages.
+//! Completion scripts for shells, and manual pages.
 
 use std::path::Path;
 

@@ -21,7 +21,7 @@ pub struct DisturbArguments {
 }
 
 impl DisturbArguments {
-    /// The cloud as the options have it. Lengths refer to the cloud as it was read.
+    /// Disturbs a cloud. Lengths refer to the cloud as it was read.
     pub fn apply(&self, cloud: Cloud, seed: u64) -> Result<Cloud> {
         let noise = self.noise.and_then(none_if_zero).map(|length| length.in_units("noise", &cloud.points)).transpose();
         let condition =

@@ -6,7 +6,6 @@ use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use snake_core::zero_hint;
 use snake_io::{self as io, Attributes, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
 use crate::patterns::{each_once, matching};
@@ -87,15 +86,6 @@ impl InputArguments {
         self.read_contents(path, seed).map(|contents| contents.cloud)
     }
 
-    /// [`InputArguments::read`] with what else the file says. A hint of missing returns is printed.
-    pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
-        let contents = self.read_without_hint(path, seed)?;
-        if let Some(hint) = missing_returns(&contents) {
-            terminal::hint(&format!("{}: {hint}", path.display()));
-        }
-        Ok(contents)
-    }
-
     /// The colours, intensity and normals of a cloud that was read from a file, for a copy of it. Samples of a mesh and the
     /// standard input have none.
     pub fn read_attributes(&self, path: &Path, cloud: &Cloud) -> Result<Attributes> {
@@ -103,20 +93,21 @@ impl InputArguments {
             return Ok(Attributes::default());
         }
         let mut attributes = io::read_attributes(path, self.input_format, cloud.points.len())?;
-        // As the points, the sensor is relative to the cloud's origin.
+        // The sensor's position is relative to the cloud's origin, as the points are.
         attributes.viewpoint.iter_mut().flatten().zip(cloud.origin).for_each(|(v, origin)| *v -= origin);
         Ok(attributes)
     }
 
-    /// [`InputArguments::read_contents`] for callers that print [`missing_returns`] themselves.
-    pub fn read_without_hint(&self, path: &Path, seed: u64) -> Result<Contents> {
+    /// [`InputArguments::read`] with what else the file says.
+    pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.contents(path, seed)?;
         let Contents { cloud, unsampled_faces, dominant_face, .. } = &contents;
         if *unsampled_faces > 0 {
             Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
         }
         if let Some(share) = dominant_face {
-            let (name, percent) = (path.display(), 100.0 * share);
+            let name = path.display();
+            let percent = 100.0 * share;
             terminal::warn(&format!(
                 "{name}: one face holds {percent:.0} % of the mesh's surface, and so of the samples"
             ));
@@ -156,11 +147,6 @@ impl InputArguments {
     }
 }
 
-/// A hint for a cloud with missing returns. The vertices of a mesh may share a corner at zero.
-pub fn missing_returns(contents: &Contents) -> Option<String> {
-    if contents.unsampled_faces > 0 { None } else { zero_hint(&contents.cloud) }
-}
-
 /// The offset that a reader has to add to the coordinates of a written file. It is zero if the format holds full
 /// coordinates. A format with four bytes a coordinate needs the origin; the function then prints a warning.
 pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 3] {
@@ -190,8 +176,8 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name, and each is given once. With a format they are those of this format. A directory that is
-/// an input itself, as a bag of ROS 2 is for `detect`, stays what it is.
+/// a directory are sorted by name, and each is given once. A format selects its files. A directory that is
+/// an input itself, such as a bag of ROS 2 for `detect`, is kept.
 pub fn expand(
     inputs: &[PathBuf],
     format: Option<PointFormat>,
@@ -262,7 +248,7 @@ fn listed(files: &[PathBuf]) -> String {
     names.collect::<Vec<_>>().join(", ") + more
 }
 
-/// The error for a directory without clouds: what is in it, and what to type.
+/// The error for a directory without clouds, with its content and advice.
 fn without_clouds(folder: &Path, format: Option<PointFormat>, files: &[PathBuf]) -> String {
     let sought = match format.map(extensions) {
         None => POINT_EXTENSIONS.join(", ."),

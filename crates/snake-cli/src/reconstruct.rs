@@ -12,7 +12,6 @@ use snake_io as io;
 use crate::disturb::DisturbArguments;
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, output_origin};
-use crate::output::InputFiles;
 use crate::setup::{ComputeArguments, EncodeFlags, detail_of};
 use crate::terminal::{self, Report};
 
@@ -40,10 +39,9 @@ pub struct ReconstructArguments {
 
 /// Writes the mesh and prints its size.
 pub fn run(arguments: &ReconstructArguments) -> Result<()> {
-    arguments.compute.start_threads()?;
     let ReconstructArguments { input, output, .. } = arguments;
     io::check_mesh_path(output)?;
-    InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
+    arguments.compute.begin([input], [output])?;
     let options = with_named_values(&MeshOptions::default(), &arguments.mesh.given())?;
     options.check()?;
     let progress = Progress::default();
@@ -61,7 +59,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     bar.suspend(|| {
         detail_of(&chosen);
         terminal::hints(&name, &chosen.note);
-        terminal::hint_outliers(&name, &field);
+        terminal::hint_findings(&name, &field);
     });
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
@@ -92,7 +90,8 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
         }));
     }
     let mut report = Report::default();
-    let (name, num_points) = (input.display(), cloud.points.len());
+    let name = input.display();
+    let num_points = cloud.points.len();
     report.line(format!(
         "{name}: {vertices} vertices, {triangles} triangles, area {area:.5} from {num_points} points in {total:.3} s"
     ));

@@ -77,7 +77,7 @@ pub fn shown(value: &Value) -> String {
     }
 }
 
-/// What to type instead of a flag that is no flag but the name of an option, such as `--refine-steps`, or an earlier name of
+/// The words to type instead of a flag that is only the name of an option, such as `--refine-steps`, or an earlier name of
 /// one.
 pub fn instead_of(flag: &str) -> Option<String> {
     let name = flag.strip_prefix("--")?.split('=').next()?.replace('-', "_");

@@ -7,13 +7,12 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{
-    Builtin, BuiltinModels, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, ModelChoice, NamedModel, Options,
-    SimdLevel,
-};
+use snake_core::{Builtin, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, NamedModel, Options, SimdLevel};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
+use crate::inputs::check_inputs;
+use crate::output::InputFiles;
 use crate::set::SetArguments;
 use crate::{config, model, terminal};
 
@@ -57,42 +56,48 @@ impl ComputeArguments {
         Ok(())
     }
 
-    /// Loads the model of `--model`, or else the built-in model that suits `cloud`. `start` gives the options that `snake.toml`
-    /// then changes.
-    pub fn load_model(
+    /// Starts the threads of a command, and refuses outputs that are among its inputs.
+    pub fn begin<'a>(
+        &'a self,
+        inputs: impl IntoIterator<Item = &'a PathBuf>,
+        outputs: impl IntoIterator<Item = &'a PathBuf>,
+    ) -> Result<()> {
+        self.start_threads()?;
+        let inputs: Vec<&PathBuf> = inputs.into_iter().collect();
+        check_inputs(inputs.iter().copied())?;
+        let files = InputFiles::new(inputs.into_iter().chain(&self.model));
+        outputs.into_iter().try_for_each(|path| files.refuse_as_output(path))
+    }
+
+    /// Loads the model of `--model`, or else the built-in model `which`. `start` gives the options that `snake.toml` then changes.
+    pub fn load_model(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
+        load(self.named()?.or(which.map(|which| Path::new(which.name()))), start)
+    }
+
+    /// The built-in model that suits a cloud and given values of options; `None` if `--model` names one.
+    pub fn suited(
         &self,
         values: &Map<String, Value>,
         cloud: impl FnOnce() -> Result<Cloud>,
-        start: impl Fn(&Model) -> Options,
-    ) -> Result<NamedModel> {
-        if let Some(path) = self.named()? {
-            return load(Some(path), start);
+    ) -> Result<Option<Builtin>> {
+        if self.named()?.is_some() {
+            return Ok(None);
         }
-        let (chooser, cloud) = (Chooser::new(ModelChoice::default(), values)?, cloud()?);
-        load(Some(Path::new(builtin_name(&chooser.for_cloud(&cloud)?.name))), start)
+        let chooser = Chooser::default().with_values(values)?;
+        Ok(chooser.for_cloud(&cloud()?)?.which)
     }
 
-    /// Whether no model is named, so that each cloud or the first one decides.
-    pub fn is_open(&self) -> Result<bool> {
-        Ok(self.named()?.is_none())
-    }
-
-    /// The model of `--model`, by default `scenes`.
-    pub fn load_model_of_tiles(&self) -> Result<NamedModel> {
-        load(Some(self.named()?.unwrap_or(Path::new("scenes"))), recommended)
-    }
-
-    /// What chooses model and options of each cloud, for given values of options.
+    /// The chooser of model and options for each cloud, for given values of options.
     pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
-        let choice = match self.named()? {
+        let chooser = match self.named()? {
             Some(path) => load(Some(path), recommended)?.into(),
-            None => ModelChoice::Auto(configured_models()?),
+            None => configured_chooser()?,
         };
-        Ok(Chooser::new(choice, values)?)
+        Ok(chooser.with_values(values)?)
     }
 
-    /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A model that
-    /// is named is loaded, so that a mistake in its name is said.
+    /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A named
+    /// model is always loaded, so that a mistake in its name is reported.
     pub fn chooser_of_registration(&self, options: &RegisterOptions) -> Result<Option<Chooser>> {
         let is_used = options.needs_model() || self.named()?.is_some();
         is_used.then(|| self.chooser(&Map::new())).transpose()
@@ -107,17 +112,12 @@ impl ComputeArguments {
     }
 }
 
-/// The built-in models with their options as the configuration changes them.
-fn configured_models() -> Result<BuiltinModels> {
+/// The choice between the built-in models, with their options as the configuration changes them.
+fn configured_chooser() -> Result<Chooser> {
     let config = config::get()?;
-    Builtin::ALL.into_iter().try_fold(BuiltinModels::default(), |models, which| {
-        Ok(models.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
+    Builtin::ALL.into_iter().try_fold(Chooser::default(), |chooser, which| {
+        Ok(chooser.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
     })
-}
-
-/// The name of a built-in model without the words that a report adds.
-pub fn builtin_name(name: &str) -> &str {
-    name.trim_end_matches(", built-in")
 }
 
 /// Prints the model and the options of a cloud, with `--verbose`.
@@ -134,7 +134,8 @@ pub fn recommended(model: &Model) -> Options {
 /// Loads a model with the options that the configuration makes of those of `start`.
 pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
     let began = Instant::now();
-    let (model, name) = (model::load(path)?, model::name(path));
+    let model = model::load(path)?;
+    let name = model::name(path);
     let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), &start(&model))?;
     terminal::detail("loaded", || format!("{name}, {:.3} s", began.elapsed().as_secs_f64()));
     Ok(NamedModel::new(model, name).with_options(options))

@@ -120,7 +120,7 @@ pub fn print_aside(report: &Report) -> Result<()> {
     Ok(())
 }
 
-/// Prints to the standard error. A failure is ignored, because there is no place left to report it.
+/// Prints to the standard error. A failure is ignored, because it cannot be reported.
 pub fn print_to_stderr(report: &Report) {
     let _ = io::stderr().lock().write_all(report.0.as_bytes());
 }
@@ -132,7 +132,12 @@ fn say(topic: impl Display, text: &str) {
 
 /// A text in which options of reading are named as flags. The libraries name them as options: `columns` 1,2,3.
 fn with_flags(text: &str) -> String {
-    let flags = [("`columns` ", "--columns "), ("`format` ", "--input-format "), ("`topic` ", "--topic ")];
+    let flags = [
+        ("`columns` ", "--columns "),
+        ("`format` ", "--input-format "),
+        ("`topic` ", "--topic "),
+        ("`folder` ", "--tile-folder "),
+    ];
     flags.iter().fold(text.to_owned(), |text, (option, flag)| text.replace(option, flag))
 }
 
@@ -186,11 +191,9 @@ pub fn hints<'a>(name: &str, hints: impl IntoIterator<Item = &'a String>) {
     hints.into_iter().for_each(|text| hint(&format!("{name}: {text}")));
 }
 
-/// Names the outliers of a cloud, which its field leaves out, if there are any.
-pub fn hint_outliers(name: &str, field: &Field) {
-    if let Some(outliers) = field.outliers() {
-        hint(&format!("{name}: {outliers}"));
-    }
+/// Names what is wrong with a cloud, which its field leaves out.
+pub fn hint_findings(name: &str, field: &Field) {
+    hints(name, &field.findings());
 }
 
 /// Prints a line about `topic` with `--verbose`.

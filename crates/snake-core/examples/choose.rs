@@ -4,7 +4,7 @@
 use std::error::Error;
 
 use serde_json::{Map, Value, json};
-use snake_core::{Chooser, Control, ModelChoice, Point};
+use snake_core::{Chooser, Control, Point};
 
 /// The floor and two walls of a room.
 fn room() -> Vec<Point> {
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let points = arguments.next().map_or_else(|| Ok(room()), |path| read(&path))?;
     let values: Map<String, Value> = arguments.next().map_or(Ok(Map::new()), |text| serde_json::from_str(&text))?;
 
-    let chooser = Chooser::new(ModelChoice::default(), &values)?;
+    let chooser = Chooser::default().with_values(&values)?;
     let chosen = chooser.for_points(&points)?;
     let detection = chosen.detect(&Control::default())?;
     let notes: Vec<String> = chosen.notes().into_iter().chain(chosen.cluster_hint(&detection)).collect();

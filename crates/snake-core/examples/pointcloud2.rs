@@ -1,6 +1,6 @@
 //! Keypoints of a ROS 2 message, read where its bytes are: `cargo run --release -p snake-core --example pointcloud2`.
 
-use snake_core::{Builtin, Detection, Detector, Model, PointCloud2Layout, PointCloud2View, PointField, Result};
+use snake_core::{Builtin, Detection, FrameDetector, Model, PointCloud2Layout, PointCloud2View, PointField, Result};
 
 /// The bytes of a `sensor_msgs/PointCloud2`: rows of x, y, z and intensity as float32, with a gap after z. Every tenth
 /// point is missing.
@@ -28,7 +28,7 @@ fn main() -> Result<()> {
 
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
-    let mut detector = Detector::new(model, options)?;
+    let mut detector = FrameDetector::new(model, options)?;
     let mut detection = Detection::default();
     detector.detect_into(&cloud, &mut detection)?;
     println!("{} points skipped", detection.num_skipped);

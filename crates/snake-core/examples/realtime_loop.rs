@@ -7,7 +7,7 @@ mod sweep;
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-use snake_core::{Detection, Detector, Model};
+use snake_core::{Detection, FrameDetector, Model};
 
 /// The value below which a share of the sorted values lies.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     let model = Model::named(std::env::args().nth(5).as_deref().unwrap_or("scenes"))?;
     let options = pool.install(|| model.realtime_options(target, num_points))?;
-    let mut detector = Detector::new(model, options)?;
+    let mut detector = FrameDetector::new(model, options)?;
     let mut detection = Detection::default();
     println!("points: {:?}, voxel size: {:?}", options.encode.max_points, options.encode.voxel_size);
 

@@ -31,7 +31,7 @@ impl Builtin {
         }
     }
 
-    /// What [`Model::recommended`] of this model is, without loading its weights.
+    /// The options of [`Model::recommended`], without loading the weights.
     pub fn recommended(self) -> Options {
         Weights::open(self.bytes())
             .and_then(|file| file.recommended_options())

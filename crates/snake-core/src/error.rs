@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use snake_geometry::{shortened, shortened_value};
 
-/// An error. Its text says what to do about it.
+/// An error. Its text gives the way out.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -37,7 +37,7 @@ pub enum Error {
     /// No rigid transform fits two clouds: they do not overlap, or are in different units.
     #[error("source and target: {}", shortened(reason))]
     NoTransform {
-        /// What was tried, and what may be wrong.
+        /// The attempts, and the likely fault.
         reason: String,
     },
     /// An option is outside its range.
@@ -53,7 +53,7 @@ pub enum Error {
     /// The call would exceed a limit that the caller set with [`Control::limits`](crate::Control::limits).
     #[error("{number} {what} are above the limit of {limit} for this call")]
     LimitExceeded {
-        /// What is limited.
+        /// The limited quantity.
         what: &'static str,
         /// How much of it the call needs.
         number: usize,

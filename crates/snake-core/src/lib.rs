@@ -7,11 +7,11 @@
 //!          query grid → occupancy filter → refine → threshold → NMS ────┴→ keypoints
 //! ```
 //!
-//! | folder | what it holds |
+//! | folder | content |
 //! |---|---|
-//! | `control/` | what a call may do: progress, cancellation, limits, threads |
+//! | `control/` | control of a call: progress, cancellation, limits, threads |
 //! | `options/` | options of encoding, detection and meshes |
-//! | `cloud/` | a cloud as it is used, and what is measured of it |
+//! | `cloud/` | the used points of a cloud, and its measures |
 //! | `lattice/` | where voxels and queries lie: in a cube, or about the points of a scene |
 //! | `network/` | weights → layers; points → encoder → volume; decoder |
 //! | `field/` | encode once, query many; grid; surface |
@@ -25,7 +25,7 @@
 //! |---|---|---|
 //! | a cloud | its keypoints | [`Model::detect`] |
 //! | a cloud | occupancy, saliency, descriptors or a mesh as well | [`Model::encode`], then [`Field`] |
-//! | one cloud after another | the keypoints of each, in the volumes of the last | [`Detector`] |
+//! | one cloud after another | the keypoints of each, in the volumes of the last | [`FrameDetector`] |
 //! | keypoints of frames | the same keypoint in each frame | [`Tracker`] |
 //! | a cloud larger than memory | keypoints | [`TileDetector`], or the crate `snake-tiles` |
 //! | a time limit or a server | progress, cancellation, limits | [`Control`], with the methods that end in `_with` |
@@ -58,7 +58,7 @@ pub mod steps;
 pub use builtin::Builtin;
 pub use choose::scale_hint;
 #[cfg(feature = "builtin-models")]
-pub use choose::{BuiltinModels, Chooser, Chosen, ChosenBy, ModelChoice, NamedModel};
+pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
 pub use control::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, parallel_map};
 pub use detect::{
@@ -67,7 +67,7 @@ pub use detect::{
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
-pub use live::{Detector, Tracker, TrackerOptions};
+pub use live::{FrameDetector, Tracker, TrackerOptions};
 pub use model::Model;
 pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
 #[doc(hidden)]
@@ -82,7 +82,7 @@ pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{
     Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
     OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
-    SeparateAxes, add_origin, subtract_origin, zero_hint,
+    SeparateAxes, add_origin, subtract_origin,
 };
 #[doc(hidden)]
 pub use snake_geometry::{excerpt, is_harmful, printable, setters, shortened, shortened_value};

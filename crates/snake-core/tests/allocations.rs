@@ -5,7 +5,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use snake_core::{Builtin, Detection, Detector, Model, Point};
+use snake_core::{Builtin, Detection, FrameDetector, Model, Point};
 
 /// The allocator of the system, with counts of bytes.
 struct Counting;
@@ -63,7 +63,7 @@ fn street(num_points: usize, ahead: f32) -> Vec<Point> {
 fn usage_of_frames(num_points: usize, threads: usize) -> Vec<Usage> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let model = Model::builtin(Builtin::Compact);
-    let mut detector = Detector::new(model.clone(), *model.recommended()).unwrap();
+    let mut detector = FrameDetector::new(model.clone(), *model.recommended()).unwrap();
     let mut detection = Detection::default();
     let frame = |number: usize| {
         let num_points = if number < 3 { num_points + num_points / 10 } else { num_points };

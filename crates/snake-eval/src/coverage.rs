@@ -1,4 +1,4 @@
-//! The suppression at which keypoints cover clouds as far as is asked: detectors are compared fairly where they cover alike.
+//! The suppression radius for a given coverage, so that detectors are compared at equal coverage.
 
 use rayon::prelude::*;
 use snake_core::{Error, Result};
@@ -6,9 +6,9 @@ use snake_geometry::{Point, check_points, suppress_ranked};
 
 use crate::mean_distance_to_keypoints;
 
-/// A radius is this many times the one that was tried before it.
+/// The ratio of a radius to the one before it.
 const STEP: f64 = 1.2;
-/// Steps from a radius of a hundredth of the coverage on: as far as a hundred times the coverage.
+/// The number of steps from a hundredth of the coverage to a hundred times the coverage.
 const STEPS: i32 = 50;
 /// Halvings of the last step: the radius is right to a part in 1000.
 const HALVINGS: usize = 7;

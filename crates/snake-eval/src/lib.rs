@@ -69,7 +69,8 @@ pub use registration::{
     squared_registration_error,
 };
 pub use repeatability::{
-    mean_distance_to_keypoints, relative_repeatability, repeated_keypoints, symmetric_repeatability,
+    mean_distance_to_keypoints, relative_repeatability, repeatability_beyond_chance, repeated_keypoints,
+    share_on_flat_places, symmetric_repeatability,
 };
 pub use semantic::{
     MatchCounts, SmplProtocol, Unreachable, geodesic_distances, geodesic_distances_with, semantic_counts, smpl_iou,

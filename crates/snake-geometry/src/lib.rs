@@ -30,10 +30,10 @@ mod transform;
 
 pub use clouds::{
     Bounds, Cloud, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point, Reach,
-    add_origin, check_pairs, check_points, gaps, resolution, subtract_origin, unit, zero_hint,
+    add_origin, check_pairs, check_points, gaps, resolution, subtract_origin, unit,
 };
 pub use error::{Error, Result};
-pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, vector};
+pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_spread, vector};
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::path::Path;
 
 use mcap::records::MessageHeader;
-use snake_core::{Builtin, Detection, Detector, Model};
+use snake_core::{Builtin, Detection, FrameDetector, Model};
 use snake_io::{RecordedCloud, keypoint_json, read_recording};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
-    let mut detector = Detector::new(model, options)?;
+    let mut detector = FrameDetector::new(model, options)?;
     let mut detection = Detection::default();
 
     let mut writer = mcap::Writer::new(File::create(output)?)?;

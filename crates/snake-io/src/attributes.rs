@@ -1,4 +1,4 @@
-//! What points have besides positions, and what moves with them: colours, intensity, normals.
+//! Attributes of points, which move with them: colours, intensity, normals.
 
 use std::path::Path;
 

@@ -171,7 +171,7 @@ mod tests {
             "poses": [{"part": 0, "t_part_cloud": QUARTER}, {"part": 1, "t_part_cloud": QUARTER}, {"part": 0, "t_part_cloud": identity}],
         });
         let named = read_json(json.to_string().as_bytes()).unwrap();
-        // What is in another part has no pose here, and the folder may have moved.
+        // A cloud of another part has no pose here, and the folder may have moved.
         let poses = named.for_clouds(file, &["b/2.ply", "a/0.ply", "a/1.ply", "new.ply"]).unwrap();
         assert_eq!(matrices(poses), [Some(identity), Some(QUARTER), None, None]);
         let tum =

@@ -1,5 +1,5 @@
 //! Keypoints of a made drive as tracks, beside those of ISS. Make sweeps with
-//! `python -m snake_training.data.drives -o DRIVES --sweeps 11 --step 1`, then run
+//! `python -m snake_training.make drives -o DRIVES --sweeps 11 --step 1`, then run
 //! `cargo run --release -p snake-registration --example tracks -- DRIVES`.
 
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ type Drive = Vec<(Vec<Point>, RigidTransform)>;
 
 fn main() -> Result<()> {
     let folder =
-        std::env::args().nth(1).ok_or("usage: tracks DRIVES, a folder that snake_training.data.drives wrote")?;
+        std::env::args().nth(1).ok_or("usage: tracks DRIVES, a folder that snake_training.make drives wrote")?;
     let (mut shares, drives) = ([0.0; 2], drives(Path::new(&folder))?);
     for (name, drive) in &drives {
         let field = field_tracks(drive)?;

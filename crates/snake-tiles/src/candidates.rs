@@ -9,7 +9,7 @@ use snake_geometry::Point;
 use crate::folder::RunFolder;
 use crate::{Error, Result};
 
-/// What is known of a tile's candidates without them.
+/// A summary of a tile's candidates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Summary {
     /// The run that found them, see [`crate::plan::Source::id`].

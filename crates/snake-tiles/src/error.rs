@@ -6,7 +6,7 @@ use snake_geometry::{shortened, shortened_value};
 
 use crate::plan::Tile;
 
-/// An error. Its text says what to do about it.
+/// An error. Its text gives the way out.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -29,7 +29,7 @@ pub enum Error {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Another process uses the folder.
@@ -39,7 +39,7 @@ pub enum Error {
         folder: PathBuf,
         /// The process and its host.
         holder: String,
-        /// What to do.
+        /// The way out.
         advice: String,
     },
     /// Tiles have no result, so that their keypoints would be missing.
@@ -85,8 +85,7 @@ impl Error {
     /// The error of a file in the run's folder that no run wrote.
     pub(crate) fn not_own(folder: &Path, name: &Path) -> Self {
         let reason = format!(
-            "{} has `{}`, which no run wrote; move it away, or choose a folder that is new or empty, on the command line with \
-             --tile-folder FOLDER",
+            "{} has `{}`, which no run wrote; move it away, or name a `folder` that is new or empty",
             folder.display(),
             name.display()
         );

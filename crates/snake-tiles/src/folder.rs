@@ -308,7 +308,7 @@ fn entries(bytes: &[u8]) -> BTreeSet<String> {
     whole.collect()
 }
 
-/// What follows the content of a file: a line with its digest.
+/// The end of a file after its content: a line with its digest.
 fn trailer(content: &[u8]) -> Vec<u8> {
     format!("\n{}\n", blake3::hash(content)).into_bytes()
 }

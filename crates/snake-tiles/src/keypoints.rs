@@ -21,7 +21,7 @@ pub struct TiledKeypoint {
     pub cell: [i32; 3],
 }
 
-/// What is known of the tiles of a run after their detection.
+/// The results of the tiles of a run.
 #[derive(Debug, Clone)]
 pub struct Detected {
     /// The detected tiles, by place.

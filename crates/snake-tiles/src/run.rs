@@ -68,7 +68,7 @@ impl TiledRun {
             folder.mend(plan.names())?;
             return Self { detector, plan, id, folder, copc: Vec::new() }.resolved();
         }
-        // What is wrong with the inputs is said before anything is removed.
+        // Faults of the inputs are said before anything is removed.
         let Extent { bounds, crs, failures, .. } = extent(files, read)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;
         let plan = Plan::new(source, versions, &bounds, crs, failures);
@@ -316,7 +316,7 @@ pub(crate) fn choose_voxel_size(
     if number > CHOSEN_POINTS {
         let reason = format!(
             "none is given, and {number} points are too many to choose one from (at most {CHOSEN_POINTS}); give a length in \
-             cloud units, on the command line with --voxel-size 0.1: details smaller than it are not seen"
+             cloud units such as 0.1: details smaller than it are not seen"
         );
         return Err(Error::Refused { what: "voxel_size", reason });
     }
@@ -324,7 +324,7 @@ pub(crate) fn choose_voxel_size(
     Ok(detector.choose_voxel_size(&points)?)
 }
 
-/// What is known of the cloud before its tiles.
+/// The properties of a cloud that are known before its tiles.
 #[derive(Default)]
 pub(crate) struct Extent {
     pub(crate) bounds: Bounds,

@@ -80,7 +80,7 @@ fn a_folder_that_no_run_made_is_refused_and_stays_as_it_is() {
         let before = content(&own);
         let error = prepare(&scan, &own).unwrap_err().to_string();
         let first = name.split('/').next().unwrap();
-        assert!(error.contains(first) && error.contains("--tile-folder"), "{error}");
+        assert!(error.contains(first) && error.contains("`folder`"), "{error}");
         assert_eq!(content(&own), before, "{name}");
     }
     // An empty folder of that name is not the run's either.

@@ -2,12 +2,12 @@
 //! repeat, or a registration with its matches ([`RegistrationPage`]). It is one file, and needs no server.
 //!
 //! ```
-//! use snake_core::{Builtin, Chooser, Cloud, Control, Model, ModelChoice, NamedModel};
+//! use snake_core::{Builtin, Chooser, Cloud, Control, Model, NamedModel};
 //! use snake_view::{Page, ShownCloud, viridis};
 //! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
 //! # let points = snake_io::read_points(path.as_ref())?[..1000].to_vec();
 //! let model = NamedModel::new(Model::builtin(Builtin::Compact), "compact");
-//! let chooser = Chooser::new(ModelChoice::Named(model), &serde_json::Map::new())?;
+//! let chooser = Chooser::from(model);
 //! let cloud = Cloud { points, origin: [0.0; 3] };
 //! let chosen = chooser.for_cloud(&cloud)?;
 //! let shown = ShownCloud::detect(&chosen, "plane".into(), &Control::default())?;
@@ -26,6 +26,6 @@ mod shown_cloud;
 mod vertices;
 
 pub use page::{Page, viridis};
-pub use pair::Pair;
+pub use pair::ShownPair;
 pub use registration_page::RegistrationPage;
 pub use shown_cloud::ShownCloud;

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use snake_core::Options;
 use snake_geometry::printable;
 
-use crate::pair::Pair;
+use crate::pair::ShownPair;
 use crate::shown_cloud::ShownCloud;
 
 const BODY: &str = include_str!("page_parts/body.html");
@@ -18,7 +18,7 @@ pub struct Page {
     /// One or two clouds.
     pub clouds: Vec<ShownCloud>,
     /// Present if there are two clouds.
-    pub pair: Option<Pair>,
+    pub pair: Option<ShownPair>,
     /// The options of the detection.
     pub options: Options,
     /// The name of the model.
@@ -46,7 +46,7 @@ impl Page {
         let clouds: Vec<Value> = self.clouds.iter().map(ShownCloud::data).collect();
         json!({
             "clouds": clouds,
-            "pair": self.pair.as_ref().map(Pair::data),
+            "pair": self.pair.as_ref().map(ShownPair::data),
             "colors": STANDARD.encode(self.colors.as_flattened()),
             "options": self.options,
             "model": self.model_name,

@@ -9,7 +9,7 @@ use snake_registration::{PairOptions, RegisterOptions, Registration, register_wi
 use crate::shown_cloud::ShownCloud;
 
 /// The alignment of two clouds and their repeated keypoints.
-pub struct Pair {
+pub struct ShownPair {
     /// Maps a point of the second cloud to the first; the origins are included.
     pub t_first_second: RigidTransform,
     /// The registration that found the transform; `None` if the user gave it.
@@ -24,12 +24,12 @@ pub struct Pair {
 /// The default of `epsilon`, in radii of the first cloud.
 const EPSILON: f64 = 0.04;
 
-impl Pair {
+impl ShownPair {
     /// Aligns the second cloud to the first, by registration if the transform is not given, and finds the keypoints that
     /// repeat. `t_first_second` includes the origins. The default of `epsilon` is 0.04 of the first cloud's radius.
     ///
     /// # Errors
-    /// The errors of [`register_with`] and of [`Pair::new`].
+    /// The errors of [`register_with`] and of [`ShownPair::new`].
     pub fn aligned(
         clouds: [&ShownCloud; 2],
         t_first_second: Option<RigidTransform>,

@@ -78,7 +78,7 @@ impl RegistrationPage<'_> {
     /// A cloud with the ends of the matches as its keypoints. What other pages show as saliency chooses the colour.
     fn cloud(&self, index: usize, ends: &[Point]) -> Result<Value> {
         let cloud = self.clouds[index];
-        let finite = FinitePoints::of("points", &cloud.points)?.points;
+        let finite = FinitePoints::clean("points", &cloud.points, None)?.points;
         let shown = subsample(&finite);
         let Normalization { center, scale } = Normalization::of(&finite, NormalizationMethod::UnitSphere)?;
         let keypoint = |end: &Point| {

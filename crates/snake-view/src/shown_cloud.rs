@@ -56,11 +56,10 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A text where the cloud has outliers or the keypoints cluster.
+    /// A text where points were left out or the keypoints cluster.
     pub fn hint(&self) -> Option<String> {
-        let outliers = self.field.outliers().map(|outliers| outliers.to_string());
-        let hints = [outliers, cluster_hint(self.field.points(), &self.detection.keypoints)];
-        hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
+        let cluster = cluster_hint(self.field.points(), &self.detection.keypoints);
+        self.field.findings().into_iter().chain(cluster).reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.
@@ -68,7 +67,8 @@ impl ShownCloud {
         let (keypoints, points) = (self.detection.keypoints.len(), self.field.points().len());
         let mut text = format!("{}: {keypoints} keypoints from {points} points", self.name);
         if self.field.num_skipped() > 0 {
-            text += &format!(" ({} skipped, which are not finite or outliers)", self.field.num_skipped());
+            text +=
+                &format!(" ({} skipped, which are not finite, outliers or missing returns)", self.field.num_skipped());
         }
         if self.shown.len() < points {
             text += &format!(" ({} shown)", self.shown.len());

@@ -5,7 +5,7 @@ use cu_sensor_payloads::{PointCloud, PointCloudSoa, PointCloudSoaHandle};
 use cu29::prelude::*;
 use cu29::units::si::length::meter;
 use serde::{Deserialize, Serialize};
-use snake_core::{Builtin, Detection, Detector, Model, Point, PointSource};
+use snake_core::{Builtin, Detection, FrameDetector, Model, Point, PointSource};
 
 /// Number of points that a cloud has room for.
 const CAPACITY: usize = 65536;
@@ -72,7 +72,7 @@ impl CuSrcTask for Lidar {
 #[derive(Reflect)]
 pub struct KeypointTask {
     #[reflect(ignore)]
-    detector: Detector,
+    detector: FrameDetector,
     #[reflect(ignore)]
     detection: Detection,
 }
@@ -88,7 +88,7 @@ impl CuTask for KeypointTask {
     fn new(_config: Option<&ComponentConfig>, _resources: Self::Resources<'_>) -> CuResult<Self> {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
-        let detector = Detector::new(model, options).map_err(|error| CuError::new_with_cause("options", error))?;
+        let detector = FrameDetector::new(model, options).map_err(|error| CuError::new_with_cause("options", error))?;
         Ok(Self { detector, detection: Detection::default() })
     }
 

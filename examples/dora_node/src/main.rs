@@ -16,13 +16,13 @@
 use std::error::Error;
 
 use dora_node_api::{DoraArray, DoraNode, Event};
-use snake_core::{Builtin, Detection, Detector, Model, Point};
+use snake_core::{Builtin, Detection, FrameDetector, Model, Point};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (mut node, mut events) = DoraNode::init_from_env()?;
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
-    let mut detector = Detector::new(model, options)?;
+    let mut detector = FrameDetector::new(model, options)?;
     let mut detection = Detection::default();
     while let Some(event) = events.recv() {
         let Event::Input { metadata, data, .. } = event else { continue };
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Detects the keypoints of an array, which is read where it is.
-fn detect(detector: &mut Detector, data: &DoraArray, detection: &mut Detection) -> Result<(), Box<dyn Error>> {
+fn detect(detector: &mut FrameDetector, data: &DoraArray, detection: &mut Detection) -> Result<(), Box<dyn Error>> {
     let values: &[f32] = data.try_into()?;
     let points: &[Point] = bytemuck::try_cast_slice(values)
         .map_err(|_| format!("{} values are no points: their number is no multiple of 3", values.len()))?;

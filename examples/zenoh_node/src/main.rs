@@ -4,7 +4,7 @@
 
 use std::error::Error;
 
-use snake_core::{Builtin, Detection, Detector, Model, PointCloud2Layout, PointCloud2View, PointField};
+use snake_core::{Builtin, Detection, FrameDetector, Model, PointCloud2Layout, PointCloud2View, PointField};
 use zenoh::{Session, Wait};
 
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
@@ -18,7 +18,7 @@ fn serve(session: &Session) -> Result<(), Box<dyn Error + Send + Sync>> {
 
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
-    let mut detector = Detector::new(model, options)?;
+    let mut detector = FrameDetector::new(model, options)?;
     let mut detection = Detection::default();
     while let Ok(sample) = clouds.recv() {
         match detect(&mut detector, &sample.payload().to_bytes(), &mut detection) {
@@ -31,7 +31,7 @@ fn serve(session: &Session) -> Result<(), Box<dyn Error + Send + Sync>> {
 }
 
 /// Detects the keypoints of a message. Its bytes are read where they are.
-fn detect(detector: &mut Detector, bytes: &[u8], detection: &mut Detection) -> snake_core::Result<()> {
+fn detect(detector: &mut FrameDetector, bytes: &[u8], detection: &mut Detection) -> snake_core::Result<()> {
     let width = bytes.len() / 12;
     let layout = PointCloud2Layout { height: 1, width, point_step: 12, row_step: 12 * width, is_bigendian: false };
     let field = |name, offset| PointField { name, offset, datatype: 7, count: 1 };

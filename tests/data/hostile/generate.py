@@ -159,10 +159,10 @@ def las(num_points, records, scale=0.01, record_length=20, point_format=0, recor
 
 
 def laz(changes=(), good="format_3.laz"):
-    """A good compressed file of ours with other bytes at some places."""
+    """A good compressed file of ours with other bytes at some offsets."""
     content = bytearray((HERE / "../io/good" / good).read_bytes())
-    for place, value in changes:
-        content[place : place + len(value)] = value
+    for offset, value in changes:
+        content[offset : offset + len(value)] = value
     return bytes(content)
 
 

@@ -110,10 +110,10 @@ def main() -> None:
     published = dict(sparse, bs_type="lrotmin", bs_style="lbs")
     # More directions than are wanted, of which the first are selected.
     more = np.concatenate([plain["shapedirs"], np.ones((16, 3, 2))], axis=2)
-    places = np.arange(more.size).reshape(more.shape)[:, :, :10]
+    indices = np.arange(more.size).reshape(more.shape)[:, :, :10]
     source, published["shapedirs"], published["v_template"] = Ch(), Select(), Ch()
     source.x = more
-    published["shapedirs"].__dict__.update(a=source, idxs=places.ravel(), preferred_shape=places.shape)
+    published["shapedirs"].__dict__.update(a=source, idxs=indices.ravel(), preferred_shape=indices.shape)
     published["v_template"].x = np.asfortranarray(plain["v_template"])
     buffer = io.BytesIO()
     Python2Pickler(buffer, protocol=2).dump(published)

@@ -2,7 +2,7 @@
 
 use arrow_array::types::Float32Type;
 use arrow_array::{Array, FixedSizeListArray};
-use snake_core::{ArrowPoints, Builtin, Detection, Detector, Model, Result};
+use snake_core::{ArrowPoints, Builtin, Detection, FrameDetector, Model, Result};
 
 /// A torus of 4000 points as FixedSizeList<f32, 3>. Every tenth point is null.
 fn torus() -> FixedSizeListArray {
@@ -24,7 +24,7 @@ pub fn main() -> Result<()> {
     let model = Model::builtin(Builtin::Compact);
     let options = *model.recommended();
     let mut detection = Detection::default();
-    Detector::new(model, options)?.detect_into(&cloud, &mut detection)?;
+    FrameDetector::new(model, options)?.detect_into(&cloud, &mut detection)?;
     assert_eq!(detection.num_skipped, 400);
     println!("{} keypoints of {} points", detection.keypoints.len(), array.len() - detection.num_skipped);
     Ok(())

@@ -1,7 +1,7 @@
 """Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
 
 from .datasets import CloudError, Corpus, Folder, Mixture, ShapeError, Shards, open_all, open_shapes, write_corpus
-from .procedural import Procedural
+from .shapes import Procedural
 
 __all__ = [
     "CloudError",

@@ -72,13 +72,13 @@ def numbers(text, count):
     return values
 
 
-def moved(corners, rotation, place):
+def moved(corners, rotation, position):
     """Triangles (F, 3, 3) rotated by a matrix, then shifted."""
-    return corners @ rotation.T + place
+    return corners @ rotation.T + position
 
 
 def pose(element):
-    """The rotation and place of an SDF element: x y z roll pitch yaw."""
+    """The rotation and position of an SDF element: x y z roll pitch yaw."""
     x, y, z, *angles = numbers(element.findtext("pose", "0 0 0 0 0 0"), 6)
     return trimesh.transformations.euler_matrix(*angles, "sxyz")[:3, :3], np.array([x, y, z])
 
@@ -166,6 +166,6 @@ def body_parts(body, meshes):
 
 
 def body_pose(element):
-    """The rotation and place of a MuJoCo element; its quaternion is w x y z."""
+    """The rotation and position of a MuJoCo element; its quaternion is w x y z."""
     quaternion = numbers(element.get("quat", "1 0 0 0"), 4)
     return trimesh.transformations.quaternion_matrix(quaternion)[:3, :3], numbers(element.get("pos", "0 0 0"), 3)

@@ -1,11 +1,10 @@
 """Bodies with known correspondences: posed skeletons, chairs and lamps with joints, aeroplanes of other proportions, bent clouds.
 
-`python -m snake_training.data.bodies -o bodies/` writes what `eval semantic` reads: `annotated/`, shapes with landmarks in
-KeypointNet's layout, and `posed/`, pairs of bodies of which point i is the same place of the surface. `--corpus` adds `bent/`, pairs
-of an animal or a character of a corpus and a bent copy of it.
+`write_bodies` writes data for `eval semantic`: `annotated/`, shapes with landmarks in KeypointNet's layout, and `posed/`, pairs of
+bodies whose points i are the same point of the surface. With a corpus it adds `bent/`, pairs of an animal or a character and a bent
+copy of it.
 """
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from ..augment import random_rotation
 from .datasets import Corpus, ShapeError
 from .landmarks import write_annotated
-from .procedural import draw_on, triangles
+from .shapes import draw_on, triangles
 from .skeletons import CLASSES, toward
 
 BENT = ("animal", "character")
@@ -29,24 +28,24 @@ class Posed:
 
     bones: list
     rotations: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
 
     def moved(self, bone, points):
         """Points (N, 3) of the frames of bones (N,) in the body's frame."""
-        return np.einsum("nij,nj->ni", self.rotations[bone], points) + self.places[bone]
+        return np.einsum("nij,nj->ni", self.rotations[bone], points) + self.positions[bone]
 
     def is_inside(self, points, but):
         """Which points (N, 3) lie inside a solid other than that of bone `but` (N,)."""
         inside = np.zeros(len(points), bool)
         for number, bone in enumerate(self.bones):
-            local = (points - self.places[number]) @ self.rotations[number]
+            local = (points - self.positions[number]) @ self.rotations[number]
             inside |= bone.solid.contains(local) & (but != number)
         return inside
 
     def landmarks(self):
-        """The places (K, 3) of all landmarks, and the bone (K,) of each."""
+        """The positions (K, 3) of all landmarks, and the bone (K,) of each."""
         bone = np.array([number for number, bone in enumerate(self.bones) for _ in bone.landmarks])
-        return self.moved(bone, np.array([place for bone in self.bones for place in bone.landmarks], float)), bone
+        return self.moved(bone, np.array([position for bone in self.bones for position in bone.landmarks], float)), bone
 
 
 def rotation_by(vector):
@@ -61,16 +60,18 @@ def rotation_by(vector):
 
 def posed(bones, angles):
     """The bones with joint rotations `angles` (B, 3), each from -1 to 1 in shares of the bone's swing."""
-    rotations, places = [], []
+    rotations, positions = [], []
     for bone, angle in zip(bones, angles, strict=True):
-        rotation, place = (np.eye(3), np.zeros(3)) if bone.parent < 0 else (rotations[bone.parent], places[bone.parent])
-        places.append(place + rotation @ np.asarray(bone.offset, float))
+        rotation, position = (
+            (np.eye(3), np.zeros(3)) if bone.parent < 0 else (rotations[bone.parent], positions[bone.parent])
+        )
+        positions.append(position + rotation @ np.asarray(bone.offset, float))
         rotations.append(rotation @ toward(bone.direction) @ rotation_by(angle * np.asarray(bone.swing)))
-    return Posed(bones, np.array(rotations), np.array(places))
+    return Posed(bones, np.array(rotations), np.array(positions))
 
 
 def surface_pair(first, second, number, rng):
-    """The same places of the surface on two bodies of a class: points (number, 3) on each, and the bone (number,) of each.
+    """The same points of the surface on two bodies of a class: points (number, 3) on each, and the bone (number,) of each.
 
     They are uniform over the area of the first body, without those that lie inside another solid in either body.
     """
@@ -94,7 +95,7 @@ def surface_pair(first, second, number, rng):
 def body_pair(name, points, seed, row):
     """Two bodies of a class in two poses and of slightly other proportions, aeroplanes of quite other ones.
 
-    The same `points` places on each, float32 (points, 3), the first of radius 1 about its mean, the second by the same scale.
+    The same `points` points of the surface on each, float32 (points, 3), the first of radius 1 about its mean, the second by the same scale.
     """
     rng = np.random.default_rng([seed, row, 0xB0D1])
     numbers = rng.random(NUM_PROPORTIONS)
@@ -116,8 +117,8 @@ def annotated(name, points, seed, row):
     bones = CLASSES[name](rng.random(NUM_PROPORTIONS))
     body = posed(bones, rng.uniform(-1, 1, (len(bones), 3)))
     cloud, _, bone = surface_pair(body, body, points, rng)
-    places, on = body.landmarks()
-    distance = np.where(bone == on[:, None], np.linalg.norm(cloud - places[:, None], axis=2), np.inf)
+    positions, on = body.landmarks()
+    distance = np.where(bone == on[:, None], np.linalg.norm(cloud - positions[:, None], axis=2), np.inf)
     center, diagonal = (cloud.min(axis=0) + cloud.max(axis=0)) / 2, np.linalg.norm(np.ptp(cloud, axis=0))
     return ((cloud - center) / diagonal).astype(np.float32), distance.argmin(axis=1)
 
@@ -151,7 +152,10 @@ def write_pairs(folder, pairs):
 
 
 def write_bodies(folder, number=200, points=2048, seed=1, corpus=(), bends=4):
-    """`number` annotated shapes and as many pairs, class by class in turn, and `bends` bent copies of each animal and character."""
+    """`number` annotated shapes and as many pairs, class by class in turn, and `bends` bent copies of each animal and character of the
+    corpus folders. Raises ValueError for less than one of each class, less than 256 points, or no bent copy."""
+    if number < len(CLASSES) or points < 256 or bends < 1:
+        raise ValueError(f"number must be {len(CLASSES)} or more, points 256 or more, bends 1 or more")
     folder, names = Path(folder), [list(CLASSES)[row % len(CLASSES)] for row in range(number)]
     write_annotated(
         folder / "annotated", ((name, *annotated(name, points, seed, row)) for row, name in enumerate(names))
@@ -172,31 +176,3 @@ def write_bodies(folder, number=200, points=2048, seed=1, corpus=(), bends=4):
     ]
     if pairs:
         write_pairs(folder / "bent", pairs)
-
-
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.bodies",
-        description="Write bodies with known correspondences, for `snake-cli eval semantic`.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument(
-        "-o", "--output", required=True, help="folder to write: annotated/, posed/ and, with --corpus, bent/"
-    )
-    parser.add_argument("--number", type=int, default=200, help="annotated shapes, and pairs of bodies")
-    parser.add_argument("--points", type=int, default=2048, help="points of each")
-    parser.add_argument("--corpus", nargs="+", default=[], help="corpus folders whose animals and characters are bent")
-    parser.add_argument("--bends", type=int, default=4, help="number of bent copies of each animal or character")
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args(argv)
-    if given.number < len(CLASSES) or given.points < 256 or given.bends < 1:
-        parser.error(f"--number must be {len(CLASSES)} or more, --points 256 or more, --bends 1 or more")
-    try:
-        write_bodies(given.output, given.number, given.points, given.seed, given.corpus, given.bends)
-    except (OSError, ShapeError) as error:
-        parser.error(str(error))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,7 +6,6 @@ points along their principal axes. The points themselves are not in the reposito
 surfaces: the sampler's random numbers are not known, so no digest is the same. Triangles and spread say whether the surface is.
 """
 
-import argparse
 import gzip
 import hashlib
 import json
@@ -20,8 +19,8 @@ from tqdm import tqdm
 
 from ..augment import normalize
 from .assemblies import MeshError, triangles_of
-from .datasets import Corpus, ShapeError
-from .procedural import draw_on, superquadric, triangles
+from .datasets import Corpus
+from .shapes import draw_on, superquadric, triangles
 
 LIST = Path(__file__).with_name("corpus.tsv.gz")
 POINTS = {"train": 4096, "val": 8192}
@@ -108,7 +107,7 @@ def sample(corners, entry, number):
 
 
 def difference(entry, corners, points):
-    """What tells the surface from that of the list; empty if nothing does."""
+    """The difference of the surface from that of the list; empty without one."""
     off = np.abs(spread(points) - np.array(entry.spread.split(","), float)).max()
     said = [] if len(corners) == int(entry.faces) else [f"{len(corners)} triangles, listed {entry.faces}"]
     return ", ".join([*said, f"spread off by {off:.3f}"] if off > MAX_SPREAD_DIFFERENCE else said)
@@ -147,7 +146,7 @@ def build(entries, clones, output):
 
 
 def summary(report):
-    """What was made and what not, as lines."""
+    """The objects that were made and those that were not, as lines."""
     made = [other for _, fault, other in report if not fault]
     yield f"{len(made)} of {len(report)} objects, {sum(not other for other in made)} with the surface of the list"
     absent = Counter(fault for _, fault, _ in report if fault.startswith("no clone of"))
@@ -157,7 +156,7 @@ def summary(report):
             yield f"{entry.source}: {entry.path}: {fault or f'another surface: {other}'}"
 
 
-def check(entries, folders):
+def check_points(entries, folders):
     """How many points of the list stand in corpus folders, and which do not, as lines."""
     there = {digest(points) for folder in folders for points in Corpus(folder).points}
     absent = [entry for entry in entries if entry.digest not in there]
@@ -174,36 +173,18 @@ def clone_commands(entries):
         yield f"git clone https://github.com/{source} CLONES/{source}{at}"
 
 
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.corpus",
-        description="Make the corpus of the released models from clones of its public repositories, CLONES/OWNER/NAME or CLONES/NAME.",
-    )
-    parser.add_argument(
-        "clones", nargs="?", type=Path, help="folder of the clones; without it, print the commands that clone them"
-    )
-    parser.add_argument("-o", "--output", type=Path, help="folder to write: train/, val/ and report.tsv")
-    parser.add_argument(
-        "--check", nargs="+", metavar="FOLDER", help="only count the listed points in these corpus folders"
-    )
-    given = parser.parse_args(argv)
-    if given.clones and not given.output and not given.check:
-        parser.error("-o names the folder to write")
-    if given.clones and not given.clones.is_dir():
-        parser.error(f"{given.clones}: no such folder")
+def make_corpus(output=None, clones=None, check=()):
+    """Lines for a reader: of the points in folders to `check`, of the corpus that is made of clones, or the commands that clone.
+
+    Raises ValueError without a folder for the corpus, or without the clones.
+    """
     entries = read_list()
-    try:
-        if given.check:
-            lines = check(entries, given.check)
-        elif given.clones:
-            lines = summary(build(entries, given.clones, given.output))
-        else:
-            lines = clone_commands(entries)
-        print("\n".join(lines))
-    except (OSError, ShapeError) as error:
-        parser.error(str(error))
-
-
-if __name__ == "__main__":
-    main()
+    if check:
+        return check_points(entries, check)
+    if clones is None:
+        return clone_commands(entries)
+    if output is None:
+        raise ValueError("-o names the folder to write")
+    if not clones.is_dir():
+        raise ValueError(f"{clones}: no such folder")
+    return summary(build(entries, clones, output))

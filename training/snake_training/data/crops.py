@@ -1,11 +1,9 @@
 """Crops for training a network of scenes: a ball of a made room or street as two sensors see it, queries near its clean surface,
-and what the network is to say there.
+and the saliency that the network learns there.
 
-`python -m snake_training.data.crops -o CROPS --number 3000` writes them in files of 25; `Crops(CROPS)` reads them. Stored
-positions are in voxels about the crop's center.
+`write_crops` writes them in files of 25, `Crops` reads them. Stored positions are in voxels about the crop's center.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -13,124 +11,15 @@ import torch
 import torch.nn.functional as F
 from scipy.ndimage import distance_transform_edt
 
-from .solids import about_axis, dot
+from .sensors import View, depth_camera, fused, holes, seen, spinning_lidar, standpoint, toward_ball, upright
 from .worlds import room, street
 
 POINTS_RADIUS, QUERY_RADIUS = 28.0, 18.0  # voxels: any turned box of 32 lies within the first
-POINTS, QUERIES, RAYS, SURFACE = (
-    4000,
-    3000,
-    9000,
-    12000,
-)  # at most: points and rays of a view, queries and surface of a crop
+POINTS, QUERIES, SURFACE = 4000, 3000, 12000  # at most: points of a view, queries and surface points of a crop
 CELL = 0.5  # voxels, of the grid that responses are computed on
 DENSITY = 9  # surface points a square voxel
 QUANTUM = 1 / 1024  # voxels, of stored positions
 EDGE, CORNER = 0.0015, 0.025  # responses that count as none and as a strong corner
-
-
-class View:
-    """Rays of a sensor at a place that reach a ball: origins, directions (R, 3), and its noise."""
-
-    def __init__(self, origins, directions, noise, quadratic=0.0, furthest=np.inf, nearest=0.3):
-        self.origins, self.directions = origins, directions
-        self.noise, self.quadratic, self.furthest, self.nearest = noise, quadratic, furthest, nearest
-
-
-def reaching(origins, directions, center, radius):
-    """Which rays (R, 3) pass within `radius` of `center`, ahead of their origins."""
-    offset = center - origins
-    along = dot(offset, directions)
-    return (along > 0) & (dot(offset, offset) - along**2 < radius**2)
-
-
-def depth_camera(eye, target, rng, step=None):
-    """Of an image of 640 x 480 pixels, hand-held: directions (R, 3) in the world of every `step`-th pixel, of every second or third
-    without it, row by row; and the rotation (3, 3) from the camera's frame to the world."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, (0, 0, 1) + rng.normal(size=3) * 0.1)
-    right /= np.linalg.norm(right)
-    step = step or rng.integers(2, 4)
-    u, v = np.meshgrid(np.arange(0, 640, step) - 319.5, np.arange(0, 480, step) - 239.5)
-    rays = np.stack([u, v], axis=-1).reshape(-1, 2) / 575
-    down = np.cross(forward, right)
-    directions = forward + rays[:, :1] * right + rays[:, 1:] * down
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True), np.stack([right, down, forward], axis=1)
-
-
-def spinning_lidar(rng, beams=None):
-    """(directions (R, 3) in the sensor's frame) of a LiDAR of 16 to 128 beams."""
-    beams = beams or rng.choice([16, 32, 64, 64, 128])
-    low, high = {16: (-15, 15), 32: (-30.7, 10.7), 64: (-24.8, 2), 128: (-25, 15)}[beams]
-    if rng.random() < 0.3:
-        low, high = -22.5, 22.5
-    azimuths = rng.integers(900, 2400)
-    elevation = np.radians(np.linspace(low, high, beams) + rng.normal(size=beams) * 0.05)
-    e, a = np.meshgrid(elevation, np.linspace(0, 2 * np.pi, azimuths, endpoint=False), indexing="ij")
-    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
-
-
-def upright(rng, tilt=0.03):
-    """A rotation about z by any angle, then a small tilt."""
-    return about_axis(0, rng.normal() * tilt) @ about_axis(1, rng.normal() * tilt) @ about_axis(2, rng.uniform(0, 7))
-
-
-def toward_ball(eye, center, radius, number, rng):
-    """Directions (number, 3) uniform over those from `eye` that reach a ball: a dense scan, or part of one."""
-    axis, distance = center - eye, np.linalg.norm(center - eye)
-    least = np.cos(np.arcsin(min(radius / distance, 0.999))) if distance > radius else -1
-    cosine, angle = rng.uniform(least, 1, number), rng.uniform(0, 2 * np.pi, number)
-    one = np.cross(axis, rng.normal(size=3))
-    frame = np.stack([one / np.linalg.norm(one), np.cross(axis, one) / distance / np.linalg.norm(one), axis / distance])
-    sine = np.sqrt(1 - cosine**2)
-    return np.column_stack([sine * np.cos(angle), sine * np.sin(angle), cosine]) @ frame
-
-
-def seen(world, view, center, radius, rng):
-    """Points (M, 3) that a view has within a ball, with noise and gaps, and (M, 3) where they lie without noise, on solids
-    that stand still and have no foliage; the rest is NaN."""
-    chosen = reaching(view.origins, view.directions, center, radius)
-    if chosen.sum() > RAYS:
-        chosen[rng.permutation(np.flatnonzero(chosen))[RAYS:]] = False
-    o, d = view.origins[chosen], view.directions[chosen]
-    eyes = o if len(o) < 3 else o[:: max(len(o) // 4, 1)]
-    if len(o) == 0:
-        return np.empty((2, 0, 3))
-    near = world.toward(eyes, center, radius)
-    if not near.rows:
-        return np.empty((2, 0, 3))
-    t, which, slope = near.cast(o, d)
-    _, _, _, fuzz, moving = near.arrays()
-    keep = (t > view.nearest) & (t < view.furthest) & (rng.random(len(t)) < 0.15 + 2.5 * slope)
-    o, d, t, which = o[keep], d[keep], t[keep], which[keep]
-    error = (view.noise + view.quadratic * t**2) * rng.standard_normal(len(t))
-    into = fuzz[which] * rng.exponential(0.7, len(t))
-    clean = o + d * t[:, None]
-    clean[(fuzz[which] > 0) | moving[which]] = np.nan
-    points = o + d * (t + error + into)[:, None]
-    ball = dot(points - center, points - center) < radius**2
-    return np.stack([points[ball], clean[ball]])
-
-
-def holes(points, eye, rng):
-    """Which points (M, 3) a depth camera's holes leave."""
-    kept = np.ones(len(points), bool)
-    directions = (points - eye) / np.linalg.norm(points - eye, axis=1, keepdims=True)
-    for _ in range(rng.integers(0, 6)):
-        if len(points):
-            kept &= np.linalg.norm(directions - directions[rng.integers(len(points))], axis=1) > rng.uniform(0.01, 0.12)
-    return kept
-
-
-def fused(points, clean, side):
-    """The mean of the points (M, 3) in each cell of a side, and of where they lie without noise."""
-    _, cell, count = np.unique(
-        np.floor(points / side).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    mean = np.zeros((2, len(count), 3))
-    for out, values in zip(mean, (points, clean), strict=True):
-        np.add.at(out, cell.ravel(), values)
-    return mean / count[:, None]
 
 
 def room_views(world, size, rng, center, radius):
@@ -159,11 +48,6 @@ def room_views(world, size, rng, center, radius):
     return views
 
 
-def standpoint(size, rng):
-    """Where a camera may be in a room of a size."""
-    return np.array([*rng.uniform(-0.4, 0.4, 2) * size[:2], rng.uniform(0.7, min(size[2] - 0.4, 1.9))])
-
-
 def street_views(world, half, rng, center, radius, eye):
     """Two views of a ball in a street: sweeps of one kind of LiDAR, scans from tripods, or flights over it."""
     kind = rng.choice(["sweep", "tripod", "air"], p=[0.75, 0.1, 0.15])
@@ -172,7 +56,7 @@ def street_views(world, half, rng, center, radius, eye):
         moved = world
         if number:
             eye = eye + (rng.uniform(-12, 12), rng.normal() * 0.7, rng.normal() * 0.05)
-            moved = drift(world, rng)
+            moved = world.later(rng.uniform(-6, 6))
         if kind == "sweep":
             rays = spinning_lidar(rng, beams) @ upright(rng).T
             view = View(np.broadcast_to(eye, rays.shape), rays, rng.uniform(0.005, 0.03), 0, 100, 1.5)
@@ -187,15 +71,6 @@ def street_views(world, half, rng, center, radius, eye):
             view = View(below - rays * 60, rays, rng.uniform(0.01, 0.05))
         views.append(seen(moved, view, center, radius, rng))
     return views
-
-
-def drift(world, rng):
-    """The same world some time later: what moves has moved along x, all of a thing alike."""
-    shift = rng.uniform(-6, 6)
-    return type(world)(
-        (kind, center + (shift, 0, 0) if moving else center, axes, fuzz, moving)
-        for kind, center, axes, fuzz, moving in world.rows
-    )
 
 
 def smooth(grid, sigma):
@@ -248,7 +123,7 @@ def read(grid, queries, radius):
 
 
 def make_crop(rng):
-    """A crop as arrays, or None where the sensors see too little of the chosen place."""
+    """The crops of a made world as arrays, where the sensors see enough; at most four."""
     indoors = rng.random() < 0.5
     world, extent = room(rng) if indoors else street(rng)
     voxel = np.exp(rng.uniform(*np.log((0.03, 0.08) if indoors else (0.15, 0.4))))
@@ -347,6 +222,16 @@ def write_part(path, seed, number=25):
     partial.replace(path)
 
 
+def write_crops(folder, number=3000, seed=1):
+    """Files of 25 crops, the first of `seed`, the others of the seeds after it. Files that are there stay."""
+    torch.set_num_threads(1)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in range(seed, seed - (-number // 25)):
+        if not (path := folder / f"{part:05d}.npz").exists():
+            write_part(path, part)
+
+
 class Crops:
     """The crops of a folder; `crops[i]` is a dictionary of float32 arrays."""
 
@@ -354,7 +239,7 @@ class Crops:
         self.folder, self.parts, self.rows = Path(folder), {}, []
         self.refresh()
         if not self.rows:
-            raise ValueError(f"{folder}: no crops; python -m snake_training.data.crops -o {folder} writes them")
+            raise ValueError(f"{folder}: no crops; python -m snake_training.make crops -o {folder} writes them")
 
     def refresh(self):
         """Takes up files that were written since."""
@@ -376,26 +261,3 @@ class Crops:
             values = part[key][ends[row - 1] if row else 0 : ends[row]].astype(np.float32)
             crop[key] = values if key == "target" else values * np.float32(QUANTUM)
         return crop
-
-
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.crops", description="Write crops of made rooms and streets as sensors see them.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("-o", "--output", required=True, help="folder; files that are there are kept")
-    parser.add_argument("--number", type=int, default=3000, help="crops, 25 a file")
-    parser.add_argument("--seed", type=int, default=1, help="of the first file; the others follow")
-    arguments = parser.parse_args(argv)
-    torch.set_num_threads(1)
-    folder = Path(arguments.output)
-    folder.mkdir(parents=True, exist_ok=True)
-    for part in range(-(-arguments.number // 25)):
-        path = folder / f"{arguments.seed + part:05d}.npz"
-        if not path.exists():
-            write_part(path, arguments.seed + part)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,10 +10,13 @@ from tqdm import tqdm
 
 from ..augment import choose, normalize
 from .official import Bodies, clouds_below, clouds_of_split
-from .procedural import Procedural
+from .shapes import Procedural
 
-# What `numpy.load` raises for content that is no array.
+# Errors of `numpy.load` for content that is no array.
 NPY_ERRORS = (OSError, ValueError, EOFError, TypeError, OverflowError)
+
+
+HELD_BACK = "animal", "character", "bone"  # categories of `kinds` in `write_halves`
 
 
 class ShapeError(ValueError):
@@ -222,7 +225,7 @@ def open_shapes(folder, split=""):
 
 
 def open_all(folders, splits):
-    """The shapes of folders, each with the list in the same place, if lists are given."""
+    """The shapes of folders, each with its list, if lists are given."""
     if splits and len(splits) != len(folders):
         raise ShapeError(f"{len(splits)} lists for {len(folders)} folders: give a list for each")
     return [open_shapes(folder, split) for folder, split in zip(folders, splits or [""] * len(folders))]
@@ -238,3 +241,29 @@ def write_corpus(folder, shapes, points=8192):
     folder.mkdir(parents=True, exist_ok=True)
     np.save(folder / "points.npy", stored)
     (folder / "index.json").write_text(json.dumps([{"name": f"shape-{row}"} for row in range(len(shapes))]))
+
+
+def write_carried(folder, data, validation_data, points):
+    """Corpus folders `train`, of so many points a shape, and `val`, to carry to another machine; returns their size as a line."""
+    for name, of, number in (("train", data, points), ("val", validation_data, 8192)):
+        write_corpus(Path(folder) / name, open_shapes(of), number)
+    size = sum(path.stat().st_size for path in Path(folder).rglob("*.*") if path.is_file())
+    return [f"{folder}: {size / 1e6:.1f} MB"]
+
+
+def write_halves(folder, corpus):
+    """Three corpus folders from one, by the order of its rows; returns the numbers of their objects as a line.
+
+    `choose` and `judge` hold every other object of the common categories: settings and weights are chosen by the first, reported by
+    the second. `kinds` holds the objects of categories that take part in no choice.
+    """
+    corpus = Corpus(corpus)
+    kinds = [row for row, entry in enumerate(corpus.index) if entry.get("category") in HELD_BACK]
+    common = [row for row, entry in enumerate(corpus.index) if entry.get("category") not in HELD_BACK]
+    parts = {"choose": common[::2], "judge": common[1::2], "kinds": kinds}
+    for name, rows in parts.items():
+        part = Path(folder) / name
+        part.mkdir(parents=True, exist_ok=True)
+        np.save(part / "points.npy", corpus.points[rows])
+        (part / "index.json").write_text(json.dumps([corpus.index[row] for row in rows]))
+    return [json.dumps({name: len(rows) for name, rows in parts.items()})]

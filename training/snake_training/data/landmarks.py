@@ -1,10 +1,9 @@
 """Shapes that know their own landmarks: corners of boxes and nuts, the ends of legs, tips of wings, noses, tails and ears.
 
-`python -m snake_training.data.landmarks -o landmarks/` writes 200 of them in KeypointNet's layout, which `eval semantic`
-reads: the share of the landmarks that have a keypoint nearby says whether keypoints are where a person expects them.
+`write_landmarks` writes them in KeypointNet's layout, which `eval semantic` reads: the share of the landmarks with a keypoint nearby
+says whether keypoints are where a person expects them.
 """
 
-import argparse
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..augment import normalize, random_rotation
-from .procedural import box, moved, sample_surface, superquadric, tube
+from .shapes import box, moved, sample_surface, superquadric, tube
 
 SIGNS = (-1, 1)
 
@@ -25,12 +24,12 @@ def corners(size, offset=(0, 0, 0)):
 def boxes(rng):
     """One box, or a smaller one on top of it."""
     size = rng.uniform(0.4, 1.2, 3)
-    patches, places = box(size), [corners(size)]
+    patches, positions = box(size), [corners(size)]
     if rng.random() < 0.5:
         top = size * rng.uniform(0.35, 0.65, 3)
         offset = np.array([*((size - top)[:2] / 2 * rng.uniform(-0.7, 0.7, 2)), (size[2] + top[2]) / 2])
-        patches, places = patches + moved(box(top), offset), [*places, corners(top, offset)[1::2]]
-    return patches, np.concatenate(places)
+        patches, positions = patches + moved(box(top), offset), [*positions, corners(top, offset)[1::2]]
+    return patches, np.concatenate(positions)
 
 
 def nuts(rng):
@@ -80,16 +79,16 @@ def aeroplanes(rng):
     length, body, span, chord, thick = rng.uniform((1.0, 0.08, 0.9, 0.12, 0.02), (1.4, 0.16, 1.6, 0.3, 0.05))
     sweep = rng.uniform(0.1, 0.5)
     patches = [q[..., [2, 1, 0]] for q in superquadric((body, body, length), rng.uniform(0.6, 1), 1)]
-    places = [(length / 2, 0, 0), (-length / 2, 0, 0)]
+    positions = [(length / 2, 0, 0), (-length / 2, 0, 0)]
     for scale, x in ((1, 0), (0.4, -length * 0.42)):
         for side in SIGNS:
             wing = moved(box((chord, span / 2, thick)), (0, side * span / 4, 0))
             swept = [q - np.stack([sweep * np.abs(q[..., 1]), 0 * q[..., 1], 0 * q[..., 1]], axis=-1) for q in wing]
             patches = patches + [q * scale + (x, 0, 0) for q in swept]
-            places.append(np.array((-sweep * span / 2, side * span / 2, 0)) * scale + (x, 0, 0))
+            positions.append(np.array((-sweep * span / 2, side * span / 2, 0)) * scale + (x, 0, 0))
     fin = rng.uniform(0.15, 0.25)
     patches = patches + moved(box((chord * 0.5, thick, fin)), (-length * 0.42, 0, fin / 2))
-    return patches, np.array([*places, (-length * 0.42, 0, fin)])
+    return patches, np.array([*positions, (-length * 0.42, 0, fin)])
 
 
 def animals(rng):
@@ -98,12 +97,12 @@ def animals(rng):
     line = lambda a, b: np.linspace(a, b, 8)
     capped = lambda a, b, radius: tube(line(a, b), radius) + ball(a, radius) + ball(b, radius)
     patches = capped((-length / 2, 0, 0), (length / 2, 0, 0), thick)
-    places = []
+    positions = []
     for x in SIGNS:
         for y in SIGNS:
             foot = (x * length * 0.45 + rng.uniform(-0.1, 0.1), y * thick * 1.3, -height)
             patches = patches + capped((x * length * 0.45, y * thick * 0.6, 0), foot, thick * 0.35)
-            places.append(foot)
+            positions.append(foot)
     head = np.array([length / 2 + rng.uniform(0.1, 0.3), 0, rng.uniform(0.2, 0.5)])
     nose = head + (rng.uniform(0.15, 0.3), 0, rng.uniform(-0.1, 0.05))
     tail = np.array([-length / 2 - rng.uniform(0.2, 0.5), rng.uniform(-0.1, 0.1), rng.uniform(-0.2, 0.3)])
@@ -112,7 +111,7 @@ def animals(rng):
     ears = [head + (0, y * thick * 0.9, rng.uniform(0.15, 0.25)) for y in SIGNS]
     for ear in ears:
         patches = patches + capped(head, ear, thick * 0.25)
-    return patches, np.array([*places, nose, tail, *ears])
+    return patches, np.array([*positions, nose, tail, *ears])
 
 
 def ball(center, radius):
@@ -125,12 +124,12 @@ RECIPES = {"chair": chairs, "table": tables, "airplane": aeroplanes, "animal": a
 
 def landmarks(name, rng, points=4096):
     """A shape of that class, rotated at random, of radius 1: points (points, 3) and the indices of its landmarks."""
-    patches, places = RECIPES[name](rng)
+    patches, positions = RECIPES[name](rng)
     stretch = rng.uniform(0.85, 1.2, 3)
     cloud = sample_surface([patch * stretch for patch in patches], points, rng)
-    places = places * stretch
+    positions = positions * stretch
     rotation = random_rotation(rng)
-    nearest = np.linalg.norm(cloud[None] - places[:, None], axis=2).argmin(axis=1)
+    nearest = np.linalg.norm(cloud[None] - positions[:, None], axis=2).argmin(axis=1)
     return (2 * normalize(cloud)[0] @ rotation.T).astype(np.float32), nearest
 
 
@@ -159,32 +158,10 @@ def write_annotated(folder, shapes):
         os.replace(temporary, folder / "annotations" / f"{name}.json")
 
 
-def write_landmarks(folder, number, points=4096, seed=1):
-    """`number` shapes, class by class in turn."""
+def write_landmarks(folder, number=200, points=4096, seed=1):
+    """`number` shapes, class by class in turn. Raises ValueError for less than one of each class, or less than 256 points."""
+    if number < len(RECIPES) or points < 256:
+        raise ValueError(f"number must be {len(RECIPES)} or more, points 256 or more")
     names = [list(RECIPES)[row % len(RECIPES)] for row in range(number)]
     seeds = (np.random.default_rng([seed, row, 0x1A4D]) for row in range(number))
     write_annotated(folder, ((name, *landmarks(name, rng, points)) for name, rng in zip(names, seeds, strict=True)))
-
-
-def main(argv=None):
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m snake_training.data.landmarks",
-        description="Write shapes with known landmarks in KeypointNet's layout, for `snake-cli eval semantic`.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("-o", "--output", required=True, help="folder to write")
-    parser.add_argument("--number", type=int, default=200, help="shapes")
-    parser.add_argument("--points", type=int, default=4096, help="points of each")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args(argv)
-    if arguments.number < len(RECIPES) or arguments.points < 256:
-        parser.error(f"--number must be {len(RECIPES)} or more, --points 256 or more")
-    try:
-        write_landmarks(arguments.output, arguments.number, arguments.points, arguments.seed)
-    except OSError as error:
-        parser.error(str(error))
-
-
-if __name__ == "__main__":
-    main()

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 CLOUDS = ".npy", ".ply", ".pcd"
-# Of the layouts of evaluation: arrays that are no clouds.
+# Arrays of the layouts of evaluation that are no clouds.
 NO_CLOUDS = {"transform.npy", "pose_test_100.npy", "beta_test_100.npy"}
 
 
@@ -46,10 +46,10 @@ def roots_of(folder):
 def find(roots, name):
     """The file of a name of a list; None if there is none."""
     kind, _, shape = name.partition("-")
-    for place in (name, f"{kind}/{shape}", f"{name.rpartition('_')[0]}/{name}"):
+    for stem in (name, f"{kind}/{shape}", f"{name.rpartition('_')[0]}/{name}"):
         for root in roots:
             for ending in ("", *CLOUDS):
-                path = root / f"{place}{ending}"
+                path = root / f"{stem}{ending}"
                 if path.suffix.lower() in CLOUDS and path.is_file():
                     return path
     return None

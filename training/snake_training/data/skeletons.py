@@ -1,14 +1,14 @@
 """Bodies of eight classes as skeletons: solids on joints, each of which swings.
 
-A class is a function of numbers from 0 to 1, its proportions. It always has the same bones, joints and patches, so a place of a patch
-is the same place of every body of the class. Lengths are about 1; x is forward, z up.
+A class is a function of numbers from 0 to 1, its proportions. It always has the same bones, joints and patches, so a point of a patch
+is the same point of every body of the class. Lengths are about 1; x is forward, z up.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from .procedural import box, moved, revolve, superquadric
+from .shapes import box, moved, revolve, superquadric
 
 SIDES = (-1, 1)
 UP, DOWN, FORWARD, BACK = (0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0)
@@ -48,7 +48,7 @@ class Bone:
     """A solid on a joint of its parent's frame; the root's parent is -1.
 
     offset: the joint (3,). direction: where the bone's z axis points at rest. swing: the largest rotation, in radians, about each
-    of the bone's axes. landmarks: the places (3,) of the bone that a person would mark.
+    of the bone's axes. landmarks: the points (3,) of the bone that a person would mark.
     """
 
     parent: int
@@ -110,9 +110,9 @@ def quadruped(numbers):
     for side in SIDES:
         limb(bones, skull, (wide * 0.3, side * wide * 0.3, 0), (1, side * 0.5, 0), [(wide * 0.9, thin)])
     limb(bones, 0, (0, 0, 0), (0.3, 0, -1), [(tail, thin)])
-    for place in (0, trunk):
+    for point in (0, trunk):
         for side in SIDES:
-            limb(bones, 0, (0, side * wide * 0.7, place), (-1, 0, 0), [(leg, thin * 1.6), (leg, thin)])
+            limb(bones, 0, (0, side * wide * 0.7, point), (-1, 0, 0), [(leg, thin * 1.6), (leg, thin)])
     return bones
 
 
@@ -121,8 +121,8 @@ def hand(numbers):
     wide, long, thick, finger, thin = between(numbers, (0.4, 0.4, 0.1, 0.2, 0.035), (0.55, 0.6, 0.16, 0.32, 0.05))
     bones = [Bone(-1, (0, 0, 0), UP, block((thick, wide, long), (0, 0, long / 2)), (0, 0, 0))]
     for number, share in enumerate((0.85, 1, 1.05, 0.75)):
-        place = (0, (number - 1.5) / 4 * wide, long)
-        limb(bones, 0, place, UP, [(finger * share, thin), (finger * share * 0.8, thin)], swing=(0.1, 0.5, 0.05))
+        point = (0, (number - 1.5) / 4 * wide, long)
+        limb(bones, 0, point, UP, [(finger * share, thin), (finger * share * 0.8, thin)], swing=(0.1, 0.5, 0.05))
     limb(bones, 0, (0, -wide / 2, long * 0.3), (0, -1, 0.6), [(finger, thin * 1.1), (finger * 0.7, thin)])
     return bones
 
@@ -177,9 +177,9 @@ def chair(numbers):
     bones.append(Bone(0, ((thick - depth) / 2, 0, thick / 2), UP, support, (0, 0.5, 0), corners))
     for x in SIDES:
         for y in SIDES:
-            place = (x * (depth - thin) / 2, y * (width - thin) / 2, -thick / 2)
+            point = (x * (depth - thin) / 2, y * (width - thin) / 2, -thick / 2)
             post = block((thin, thin, leg), (0, 0, leg / 2))
-            bones.append(Bone(0, place, DOWN, post, (0.25, 0.25, 0), ((0, 0, leg),)))
+            bones.append(Bone(0, point, DOWN, post, (0.25, 0.25, 0), ((0, 0, leg),)))
     return bones
 
 

@@ -1,11 +1,14 @@
 """Worlds of solids, each an affine image of a cube, a ball or a cylinder: rays meet them, surfaces are sampled, in closed form.
 
+Rooms and tunnels are cubes and cylinders that rays meet from inside: they have no surface to sample, and nothing lies in them.
+
 Lengths are metres; x, y are horizontal, z is up.
 """
 
 import numpy as np
 
-CUBE, BALL, CYLINDER = range(3)  # |x|, |y|, |z| <= 1; x^2 + y^2 + z^2 <= 1; x^2 + y^2 <= 1 with |z| <= 1
+# |x|, |y|, |z| <= 1; x^2 + y^2 + z^2 <= 1; x^2 + y^2 <= 1 with |z| <= 1; and the first and the third from inside.
+CUBE, BALL, CYLINDER, ROOM, TUNNEL = range(5)
 
 
 def about_axis(axis, angle):
@@ -49,13 +52,20 @@ class Solids:
         """The solids of a mask (S,)."""
         return Solids(row for row, keep in zip(self.rows, mask, strict=True) if keep)
 
+    def later(self, shift):
+        """The solids after the moving ones have gone `shift` metres along x."""
+        return Solids(
+            (kind, center + (shift, 0, 0) if moving else center, axes, fuzz, moving)
+            for kind, center, axes, fuzz, moving in self.rows
+        )
+
     def about(self, center, radius):
-        """Those solids that may come within `radius` of `center`."""
+        """The solids that may come within `radius` of `center`."""
         _, middle, axes, _, _ = self.arrays()
         return self.chosen(np.linalg.norm(middle - center, axis=1) <= np.linalg.norm(axes, axis=(1, 2)) + radius)
 
     def toward(self, eyes, center, radius):
-        """Those solids that may hide or hold something within `radius` of `center` from the `eyes` (E, 3)."""
+        """The solids that may hide or hold something within `radius` of `center` from the `eyes` (E, 3)."""
         _, middle, axes, _, _ = self.arrays()
         size = np.linalg.norm(axes, axis=(1, 2))
         span = center - eyes
@@ -73,7 +83,7 @@ class Solids:
             inverse = np.linalg.inv(axis)
             o, d = (origins - center) @ inverse.T, directions @ inverse.T
             # Only rays that come near the solid's ball go on.
-            limit = 1 if kind == BALL else 2 if kind == CYLINDER else 3
+            limit = {BALL: 1, CYLINDER: 2, TUNNEL: 2}.get(kind, 3)
             near = np.flatnonzero(dot(o, o) - dot(o, d) ** 2 / dot(d, d) < limit)
             if len(near) == 0:
                 continue
@@ -89,7 +99,7 @@ class Solids:
     def inside(self, points, shrink=1e-3):
         """Which of the points (N, 3) lie within any solid by more than `shrink` metres."""
         found = np.zeros(len(points), bool)
-        for kind, center, axis, _, _ in zip(*self.arrays(), strict=True):
+        for kind, center, axis in (row[:3] for row in self.rows if row[0] < ROOM):
             half = np.linalg.norm(axis, axis=0)
             limit = 1 - shrink / half
             near = np.flatnonzero(dot(points - center, points - center) < (half**2).sum())
@@ -105,22 +115,38 @@ class Solids:
 
     def surface(self, center, radius, density, rng):
         """Points (M, 3) of the surface within `radius` of `center`, `density` a square metre, inside no other solid."""
-        parts = [sample(*row[:3], center, radius, density, rng) for row in self.rows]
+        parts = [sample(*row[:3], center, radius, density, rng) for row in self.rows if row[0] < ROOM]
         points = np.concatenate([np.empty((0, 3)), *parts])
         points = points[((points - center) ** 2).sum(axis=1) < radius**2]
         return points[~self.inside(points)]
 
 
+def directions(elevation, azimuth, indexing="xy"):
+    """Unit vectors (E * A, 3) of a grid of angles in radians; in the order of `numpy.meshgrid`: "xy" azimuth by azimuth."""
+    e, a = (values.ravel() for values in np.meshgrid(elevation, azimuth, indexing=indexing))
+    return np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def scan(world, t_world_sensor, rays, noise, furthest, rng):
+    """The points (N, 3) that rays (R, 3) of a sensor at a pose (4, 4) meet, both in its frame, with noise along the rays."""
+    at = np.broadcast_to(t_world_sensor[:3, 3], rays.shape)
+    reach = world.about(at[0], furthest).cast(at, rays @ t_world_sensor[:3, :3].T)[0]
+    seen = reach < furthest
+    return rays[seen] * (reach[seen] + noise * rng.normal(size=seen.sum()))[:, None]
+
+
 def entry(kind, o, d):
-    """Where rays o + t d enter a unit solid: t (R,), infinite where they miss, and the normal (R, 3) in its coordinates."""
+    """Where rays o + t d meet a unit solid: t (R,), infinite where they miss, and the normal (R, 3) in its coordinates.
+
+    That is where they enter it, or leave a room or tunnel.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        if kind == CUBE:
+        if kind in (CUBE, ROOM):
             low, high = (-1 - o) / d, (1 - o) / d
-            first = np.minimum(low, high)
-            axis = first.argmax(axis=1)
-            enter, leave = first[np.arange(len(o)), axis], np.maximum(low, high).min(axis=1)
-            normal = np.eye(3)[axis]
-            return np.where(enter <= leave, enter, np.inf), normal
+            first, last = np.minimum(low, high), np.maximum(low, high)
+            axis = first.argmax(axis=1) if kind == CUBE else last.argmin(axis=1)
+            enter, leave = first.max(axis=1), last.min(axis=1)
+            return np.where(enter <= leave, enter if kind == CUBE else leave, np.inf), np.eye(3)[axis]
         round_axes = slice(0, 3) if kind == BALL else slice(0, 2)
         a, b = (d[:, round_axes] ** 2).sum(axis=1), (o * d)[:, round_axes].sum(axis=1)
         root = b * b - a * ((o[:, round_axes] ** 2).sum(axis=1) - 1)
@@ -128,12 +154,13 @@ def entry(kind, o, d):
         if kind == BALL:
             return np.where(root >= 0, enter, np.inf), o + enter[:, None] * d
         caps = np.sort(np.stack([(-1 - o[:, 2]) / d[:, 2], (1 - o[:, 2]) / d[:, 2]]), axis=0)
-        by_cap = caps[0] > enter
-        t = np.where(by_cap, caps[0], enter)
+        is_hit = (root >= 0) & (np.maximum(enter, caps[0]) <= np.minimum(leave, caps[1]))
+        by_cap = caps[0] > enter if kind == CYLINDER else caps[1] < leave
+        t = np.where(by_cap, caps[0], enter) if kind == CYLINDER else np.where(by_cap, caps[1], leave)
         normal = o + enter[:, None] * d
         normal[:, 2] = 0
         normal[by_cap] = 0, 0, 1
-        return np.where((root >= 0) & (t <= np.minimum(leave, caps[1])), t, np.inf), normal
+        return np.where(is_hit, t, np.inf), normal
 
 
 def sample(kind, middle, axes, center, radius, density, rng):
@@ -145,7 +172,7 @@ def sample(kind, middle, axes, center, radius, density, rng):
         return np.empty((0, 3))
     local = []
     if kind == BALL:
-        # Of an ellipsoid a share that follows the stretch of the area.
+        # Points of the sphere are kept by the stretch of the area there.
         number = int(4 * np.pi * half.prod() / half.min() * density)
         p = rng.standard_normal((number, 3))
         p /= np.linalg.norm(p, axis=1, keepdims=True)

@@ -114,16 +114,16 @@ def room(rng):
     for _ in range(rng.integers(5, 14)):
         thing, top = FURNITURE[rng.integers(len(FURNITURE))](rng)
         yaw = rng.choice([0, np.pi / 2, np.pi, -np.pi / 2, rng.uniform(0, 7)])
-        place = rng.uniform(-1, 1, 2) * (np.array([x, y]) - 0.4)
+        position = rng.uniform(-1, 1, 2) * (np.array([x, y]) - 0.4)
         if rng.random() < 0.5:
             axis = rng.integers(2)
-            place[axis] = rng.choice([-1, 1]) * (size[axis] / 2 - 0.4)
-        world.group(thing, (*place, -0.005), yaw)
-        stands.append((place, np.array([0.35, 0.35]), top))
+            position[axis] = rng.choice([-1, 1]) * (size[axis] / 2 - 0.4)
+        world.group(thing, (*position, -0.005), yaw)
+        stands.append((position, np.array([0.35, 0.35]), top))
     for _ in range(rng.integers(15, 50)):
-        place, half, height = stands[rng.integers(len(stands))]
+        position, half, height = stands[rng.integers(len(stands))]
         thing = clutter(rng, rng.uniform(0.08, 0.35 if height > 0 else 0.9))
-        world.group(thing, (*(place + rng.uniform(-1, 1, 2) * half), height - 0.005), rng.uniform(0, 7))
+        world.group(thing, (*(position + rng.uniform(-1, 1, 2) * half), height - 0.005), rng.uniform(0, 7))
     return world, size
 
 

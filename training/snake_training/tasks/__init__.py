@@ -1,4 +1,4 @@
-"""What is learnt: a task draws batches, asks the network, and validates it; `snake_training.train` has the one loop.
+"""The tasks of learning: a task draws batches, asks the network, and validates it; `snake_training.train` has the one loop.
 
 A task has `settings` (a `LoopSettings`), `network_config` and
 network()               the network to start from

@@ -8,7 +8,6 @@ import torch.nn.functional as F
 from tqdm import tqdm
 
 from ..augment import degraded, normalize, student_views, two_views
-from ..config import TrainConfig
 from ..data import Mixture, Procedural, open_all
 from ..data.landmarks import landmarks
 from ..evaluate import DetectOptions, candidates, repeatability, suppress, view_pairs, why_none
@@ -106,7 +105,7 @@ def start_saliency(network, shapes=6, steps=400):
     """A new saliency decoder that knows the corners and tips of so many made boxes, nuts and animals, also of noisy and thin views.
 
     The losses do not say where the peaks are to lie, only that both views agree and that there are some everywhere. They keep
-    the places that they find, if the encoder has learnt by all of them before; a decoder drawn at random ends some voxels from
+    the positions that they find, if the encoder has learnt by all of them before; a decoder drawn at random ends some voxels from
     every edge. SuperPoint (DeTone et al. 2018) begins at the corners of made shapes as well.
     """
     device = next(network.parameters()).device
@@ -118,7 +117,7 @@ def start_saliency(network, shapes=6, steps=400):
             points, at = landmarks(name, rng)
             points = normalize(points)[0]
             cloud = torch.from_numpy(points).to(device)
-            for seen in (points, degraded(points, TrainConfig(), rng)):
+            for seen in (points, degraded(points, rng)):
                 with torch.no_grad():
                     volumes.append(network.encode(torch.from_numpy(seen).to(device)[None]))
                 clouds.append(cloud)

@@ -14,6 +14,9 @@ from ..model import NetworkConfig, SnakeNetwork
 from ..scene_model import SHAPES, SceneNetwork
 from .objects import label
 
+MAX_THINNING, MAX_NOISE = 8.0, 0.5  # of views: one point of so many is kept; standard deviation, in voxels
+GRID_SIDE = 6.0  # voxels, of a local grid
+
 
 class Scenes:
     """Crops, two views each. The saliency is learnt by the four losses if the settings have local grids; else from the crop's
@@ -80,7 +83,7 @@ class Scenes:
 
     @torch.no_grad()
     def teacher_log_odds(self, batch):
-        """What the teacher says of the clean surface at the queries: (B, Q)."""
+        """The teacher's log-odds (B, Q) for the clean surface at the queries."""
         queries = batch["surface_queries"]
         autocast = self.settings.bf16 and has_fast_unet(queries.device, self.teacher.config)
         points, owner = batch["surface_points"], batch["surface_owner"]
@@ -123,13 +126,13 @@ class Placement:
         return ((placed > margin) & (placed < self.side - 1 - margin)).all(axis=-1)
 
 
-def shown(points, settings, rng):
-    """What a network is shown of a view (M, 3): half of them thinned, a third with noise."""
+def shown(points, rng):
+    """The points (K, 3) of a view (M, 3) for a network: half of the views are thinned, a third have noise."""
     if rng.random() < 0.5:
-        share = settings.max_thinning ** -rng.random()
+        share = MAX_THINNING ** -rng.random()
         points = points[rng.permutation(len(points))[: max(int(len(points) * share), 30)]]
     if rng.random() < 0.35:
-        points = points + rng.uniform(0, settings.max_noise) * rng.standard_normal(points.shape)
+        points = points + rng.uniform(0, MAX_NOISE) * rng.standard_normal(points.shape)
     return points
 
 
@@ -137,22 +140,22 @@ def sample_of(crop, settings, rng):
     """The arrays of a crop that `Scenes.batch` joins; None if a box holds too little. The views are turned and moved each by
     itself and cut to a box."""
     placements = [Placement(settings, rng) for _ in range(2)]
-    points = [place.cut(shown(crop[f"points_{view}"], settings, rng)) for view, place in enumerate(placements)]
-    sides = [(place(crop[f"solid_{view}"]), place(crop["free"])) for view, place in enumerate(placements)]
-    drawings = [[drawn(side, place, settings, rng) for side in both] for both, place in zip(sides, placements)]
+    points = [placement.cut(shown(crop[f"points_{view}"], rng)) for view, placement in enumerate(placements)]
+    sides = [(placement(crop[f"solid_{view}"]), placement(crop["free"])) for view, placement in enumerate(placements)]
+    drawings = [[drawn(side, placement, settings, rng) for side in both] for both, placement in zip(sides, placements)]
     if min(map(len, points)) < 20 or any(some is None for both in drawings for some in both):
         return None
     surface = np.stack([np.concatenate(both) for both in drawings])
     boxes = placements if settings.num_grids else [*placements, Placement(settings, rng)]
-    placed = np.stack([place(crop["queries"]) for place in boxes])
-    rows = np.flatnonzero(np.all([place.inside(at, 1.0) for place, at in zip(boxes, placed)], axis=0))
+    placed = np.stack([placement(crop["queries"]) for placement in boxes])
+    rows = np.flatnonzero(np.all([placement.inside(at, 1.0) for placement, at in zip(boxes, placed)], axis=0))
     if len(rows) < 50:
         return None
     if settings.num_grids:  # the crop's queries lie near what both sensors saw
-        grid = local_grid(settings.grid_size, settings.grid_voxels)
+        grid = local_grid(settings.grid_size, GRID_SIDE)
         centers = crop["queries"][rows[rng.integers(len(rows), size=settings.num_grids)]]
-        grids = np.stack([place((centers[:, None] + grid).reshape(-1, 3)) for place in placements])
-        inside = np.stack([place.inside(at, 0.5) for place, at in zip(placements, grids)])
+        grids = np.stack([placement((centers[:, None] + grid).reshape(-1, 3)) for placement in placements])
+        inside = np.stack([placement.inside(at, 0.5) for placement, at in zip(placements, grids)])
         inside = inside.reshape(2, settings.num_grids, -1)
         return {"points": points, "queries": np.concatenate([surface, grids], axis=1), "inside": inside}
     rows = rows[rng.integers(len(rows), size=settings.queries)]
@@ -165,9 +168,9 @@ def sample_of(crop, settings, rng):
     }  # fmt: skip
 
 
-def drawn(queries, place, settings, rng):
+def drawn(queries, placement, settings, rng):
     """Draws `num_occupancy` of the placed queries within the box, with repetition; None if the box has none."""
-    within = queries[place.inside(queries, 0.5)]
+    within = queries[placement.inside(queries, 0.5)]
     return within[rng.integers(len(within), size=settings.num_occupancy)] if len(within) else None
 
 

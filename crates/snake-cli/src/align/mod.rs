@@ -11,8 +11,7 @@ use snake_core::{Control, Normalization, NormalizationMethod, Point, Progress, R
 use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{AlignPriors, Alignment, Contradiction, align_with, transform_points};
 
-use crate::inputs::{check_inputs, expand, output_origin};
-use crate::output::InputFiles;
+use crate::inputs::{expand, output_origin};
 use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use crate::{FAILURE, SUCCESS};
@@ -20,16 +19,13 @@ use args::AlignArguments;
 
 /// Finds the poses, writes the output files and prints the result.
 pub fn run(arguments: &AlignArguments) -> Result<u8> {
-    arguments.compute.start_threads()?;
     let AlignArguments { output, merged, .. } = arguments;
     if let Some(path) = output.as_ref().filter(|path| path.extension().is_none_or(|extension| extension != "json")) {
         bail!("{}: poses are written as .json", path.display());
     }
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
     let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, |_| false)?;
-    check_inputs(&inputs)?;
-    let files = InputFiles::new(inputs.iter().chain(&arguments.compute.model).chain(&arguments.initial_poses));
-    output.iter().chain(merged).try_for_each(|path| files.refuse_as_output(path))?;
+    arguments.compute.begin(inputs.iter().chain(&arguments.initial_poses), output.iter().chain(merged))?;
     let (mut options, align_options) = arguments.options()?;
     let initial_poses = read_initial_poses(arguments.initial_poses.as_deref(), &inputs)?;
     let chooser = arguments.compute.chooser_of_registration(&options)?;
@@ -46,7 +42,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
     known.place(&mut options, &origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
-    // The same check as that of the clouds of `align_with`, which knows them by number only.
+    // `align_with` makes the same check, but its error has only the number of the cloud.
     for (input, points) in inputs.iter().zip(&points) {
         Normalization::of(points, NormalizationMethod::UnitSphere).with_context(|| input.display().to_string())?;
     }

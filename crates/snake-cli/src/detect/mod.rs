@@ -13,10 +13,10 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, Detection, Progress, add_origin, parallel_map};
+use snake_core::{Chooser, ChosenBy, Control, Counts, Detection, Progress, add_origin, parallel_map};
 use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
-use crate::inputs::{DASH, check_inputs, expand, missing_returns, output_origin};
+use crate::inputs::{DASH, check_inputs, expand, output_origin};
 use crate::output::{InputFiles, in_folder};
 use crate::setup::detail_of;
 use crate::terminal::{self, Bar, Report};
@@ -115,7 +115,7 @@ fn outputs(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<Vec<Result
     Ok(checked.collect())
 }
 
-/// What all clouds of a run share.
+/// The parts that all clouds of a run share.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     chooser: &'a Chooser,
@@ -131,7 +131,7 @@ struct Item<'a> {
     /// The name in messages.
     name: &'a str,
     output: Option<&'a Path>,
-    /// What a recording says of the cloud.
+    /// The topic and the time of a cloud of a recording, for the report.
     recorded: Option<Value>,
     contents: Contents,
     /// When reading began.
@@ -144,7 +144,7 @@ impl Job<'_> {
     /// Processes one input from file to file.
     fn process_file(&self, input: &Path, name: &str, output: Option<&Path>, bar: &Bar) -> Result<Processed> {
         let start = Instant::now();
-        let contents = self.arguments.input.read_without_hint(input, self.chooser.seed())?;
+        let contents = self.arguments.input.read_contents(input, self.chooser.seed())?;
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
@@ -156,12 +156,12 @@ impl Job<'_> {
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
         let Item { input, name, output, recorded, contents, start, bar } = item;
-        let missing_returns = missing_returns(&contents);
         let Contents { cloud, crs, .. } = contents;
         let Self { arguments, control, .. } = *self;
         let read = start.elapsed().as_secs_f64();
         let chosen = self.chooser.for_cloud(&cloud).with_context(|| name.to_owned())?;
-        let (origin, num_points) = (chosen.origin, cloud.points.len());
+        let origin = chosen.origin;
+        let num_points = cloud.points.len();
         if self.is_new(&chosen.name) {
             bar.suspend(|| detail_of(&chosen));
         }
@@ -174,7 +174,7 @@ impl Job<'_> {
             }
             hints.push(hint);
         };
-        missing_returns.into_iter().chain(chosen.notes()).for_each(&mut add_hint);
+        chosen.notes().into_iter().for_each(&mut add_hint);
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
         chosen.cluster_hint(&detection).into_iter().for_each(&mut add_hint);
         let mut origin_to_add = [0.0; 3];
@@ -183,7 +183,8 @@ impl Job<'_> {
             write(output, arguments.format, &detection, &source)?;
             origin_to_add = output_origin(output, adds_origin(output, arguments.format), origin);
         }
-        let (timing, total) = (detection.timing, start.elapsed().as_secs_f64());
+        let timing = detection.timing;
+        let total = start.elapsed().as_secs_f64();
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
@@ -258,11 +259,6 @@ fn json_line(
     })
 }
 
-/// A confidence in a table. Low ones hardly differ, and do not order keypoints as the saliency does.
-fn shown_confidence(probability: f32) -> String {
-    if probability < 0.5 { "below 0.5".into() } else { format!("{probability:.2}") }
-}
-
 fn table(
     name: &str,
     output: Option<&Path>,
@@ -282,9 +278,11 @@ fn table(
     }
     report.line(format!("{first} in {total:.3} s"));
     if keypoints.is_empty() {
-        let advice =
-            if counts.occupied == 0 { "--set occupancy_threshold=0.3" } else { "a lower --saliency-threshold" };
-        report.line(format!("no keypoints: try {advice}"));
+        report.line(match counts {
+            Counts { occupied: 0, .. } => "no keypoints: try --set occupancy_threshold=0.3",
+            Counts { above_threshold: 0, .. } => "no keypoints: try a lower --saliency-threshold",
+            _ => "no keypoint is found again more often than chance, as on a flat wall: --min-confidence 0 gives all",
+        });
     } else {
         let [x, y, z] = ["x", "y", "z"];
         report.heading(format!(
@@ -296,7 +294,7 @@ fn table(
         let [x, y, z] = add_origin(k.position, origin);
         let (saliency, occupancy, nearest) = (k.saliency, k.occupancy, k.nearest_index);
         let rank = rank + 1;
-        let confidence = k.confidence.map_or("-".into(), shown_confidence);
+        let confidence = k.confidence.map_or("-".into(), |probability| format!("{probability:.2}"));
         report.line(format!(
             "{rank:>4} {x:>12.5} {y:>12.5} {z:>12.5} {saliency:>9.4} {confidence:>10} {occupancy:>9.4} {nearest:>8}"
         ));

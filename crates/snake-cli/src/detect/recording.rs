@@ -51,7 +51,8 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<u8> {
         let process = |RecordedCloud { log_time, frame_id, cloud }| {
             let recorded = Some(json!({ "index": index, "log_time": log_time, "frame_id": frame_id }));
             let contents = Contents { cloud, ..Contents::default() };
-            let (output, bar) = (output.as_deref(), &reports.bar);
+            let output = output.as_deref();
+            let bar = &reports.bar;
             job.process(Item { input, name: &name, output, recorded, contents, start, bar })
         };
         let result = recorded.map_err(Into::into).and_then(process);

@@ -19,7 +19,7 @@ const NAMED_INPUTS: usize = 10;
 /// How a report is printed: to the standard output, or elsewhere if that carries the keypoints.
 type Print = fn(&Report) -> Result<()>;
 
-/// What is known of an input that was processed.
+/// The figures of an input that was processed.
 pub struct Processed {
     pub report: Report,
     pub seconds: Seconds,

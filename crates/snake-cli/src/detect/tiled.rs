@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, anyhow, bail};
-use snake_core::{Control, Detection, Progress, TileDetector};
+use snake_core::{Builtin, Control, Detection, Progress, TileDetector};
 use snake_io::{KeypointFormat, KeypointSource};
 use snake_tiles::{Error, Tile, TiledRun};
 
 use super::args::DetectArguments;
 use crate::inputs::{DASH, output_origin};
 use crate::output::InputFiles;
+use crate::setup::recommended;
 use crate::terminal::{self, Bar, Report};
 use crate::{FAILURE, SUCCESS};
 
@@ -19,7 +20,7 @@ use crate::{FAILURE, SUCCESS};
 pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<u8> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
-    let model = arguments.compute.load_model_of_tiles()?;
+    let model = arguments.compute.load_model(Some(Builtin::Scenes), recommended)?;
     let mut options = model.options.resolve(&arguments.options.values())?;
     if !arguments.options.has("max_keypoints") {
         options.detect.max_keypoints = usize::MAX;
@@ -55,7 +56,8 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     };
     super::write(output, arguments.format, &detection, &source)?;
     output_origin(output, super::adds_origin(output, arguments.format), run.origin());
-    let ((num_points, num_skipped), counts) = (run.num_points(), finished.counts);
+    let (num_points, num_skipped) = run.num_points();
+    let counts = finished.counts;
     let mut report = Report::default();
     report.line(format!(
         "{} keypoints from {num_points} points ({num_skipped} not finite) in {} tiles in {:.1} s",
@@ -100,7 +102,7 @@ fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Resu
     InputFiles::new(inputs.iter().chain(&arguments.compute.model)).refuse_as_output(output)
 }
 
-/// Detects all tiles that are not done. Returns the places of the tiles that failed.
+/// Detects the tiles without a result. Returns the places of the tiles that failed.
 fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
     let points = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_points).sum::<u64>();
     let all = points(&mut run.tiles().iter());
@@ -144,7 +146,7 @@ fn is_full(error: &Error) -> bool {
     matches!(error, Error::File { source, .. } if full.contains(&source.kind()))
 }
 
-/// An error of the run, with advice where a repetition mends it.
+/// An error of the run, with the advice to repeat it if the disk is full.
 fn explained(error: Error, folder: &Path) -> anyhow::Error {
     let is_full = is_full(&error);
     let error = anyhow::Error::from(error);

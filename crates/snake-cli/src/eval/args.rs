@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::{Map, Value};
-use snake_core::{Chooser, Cloud, Length, Model, NamedModel, Options};
+use snake_core::{Builtin, Chooser, Length, Model, NamedModel, Options};
 use snake_registration::{Descriptor, Detector};
 
 use crate::inputs::ColumnArguments;
@@ -94,7 +94,7 @@ pub struct RegistrationArguments {
     /// Detectors to evaluate; all of them by default.
     #[arg(long, value_delimiter = ',', value_parser = named::<Detector>, default_values = methods())]
     pub detectors: Vec<Detector>,
-    /// Descriptors to evaluate: field, fpfh, or the name of an --external, whose descriptor of a keypoint is that of the nearest
+    /// Descriptors to evaluate: field, fpfh, or the name of an --external, which describes a keypoint by the nearest
     /// point in the file.
     #[arg(long, value_delimiter = ',', default_value = "field,fpfh")]
     pub descriptors: Vec<String>,
@@ -183,9 +183,9 @@ pub struct EvalArguments {
     /// to all ranked methods [default: from the options of snake, none for the others; in `semantic` 0.1 for all].
     #[arg(long, value_name = "LENGTH")]
     pub nms_radius: Option<Length>,
-    /// Suppress the keypoints of each method so far that they cover the clouds alike: that the mean distance of a point to the
-    /// nearest keypoint is this, in units of the data set. The radius of each method and condition is found on the first cloud
-    /// of every pair or shape, and methods are then compared fairly.
+    /// Suppress the keypoints of each method until the mean distance from a point to the nearest keypoint is this, in units of
+    /// the data set, so that methods are compared at equal coverage. The radius of each method and condition is found on the
+    /// first cloud of every pair or shape.
     #[arg(long, value_name = "DISTANCE", conflicts_with = "nms_radius")]
     pub coverage: Option<f64>,
     /// Also evaluate the keypoints in FOLDER/CLOUD.npz under this name: `keypoints` (K, 3) in the cloud's frame and, unless
@@ -230,26 +230,20 @@ pub struct RunArguments {
 }
 
 impl RunArguments {
-    /// What chooses the model of each cloud, for given values of options: one chooser for each of `--models`, or else that of
-    /// `--model`.
+    /// The choosers for given values of options: one for each of `--models`, or else that of `--model`.
     pub fn choosers(&self, values: &Map<String, Value>) -> Result<Vec<Chooser>> {
-        let named = |model: &PathBuf| Ok(Chooser::new(load(Some(model), recommended)?.into(), values)?);
+        let named = |model: &PathBuf| Ok(Chooser::from(load(Some(model), recommended)?).with_values(values)?);
         match &self.models[..] {
             [] => Ok(vec![self.compute.chooser(values)?]),
             models => models.iter().map(named).collect(),
         }
     }
 
-    /// Loads the models for all clouds of a data set, with the options that follow from those of `start`. Without `--model` and
-    /// `--models`, `first`, a cloud of the data set, decides for given values of options.
-    pub fn load_models(
-        &self,
-        values: &Map<String, Value>,
-        first: impl FnOnce() -> Result<Cloud>,
-        start: impl Fn(&Model) -> Options,
-    ) -> Result<Vec<NamedModel>> {
+    /// Loads the models for all clouds of a data set: those of `--models`, else that of `--model`, else the built-in model `which`.
+    /// `start` gives the options that `snake.toml` then changes.
+    pub fn load_models(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<Vec<NamedModel>> {
         match &self.models[..] {
-            [] => Ok(vec![self.compute.load_model(values, first, start)?]),
+            [] => Ok(vec![self.compute.load_model(which, start)?]),
             models => models.iter().map(|model| load(Some(model), &start)).collect(),
         }
     }

@@ -2,21 +2,21 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow, bail};
-use snake_core::{Control, NamedModel};
+use serde::Serialize;
+use snake_core::{Builtin, Control, Model, NamedModel};
 use snake_eval::ExternalKeypoints;
 use snake_eval::datasets::{ScenePair, Scenes};
-use snake_eval::reports::registration::Method;
-use snake_geometry::{Cloud, Length, Point, suppress_ranked};
+use snake_eval::reports::registration as reports;
+use snake_geometry::{Cloud, Length, Point};
 use snake_registration::steps::{Lengths, VoxelCloud};
 use snake_registration::{Descriptor, Detector};
 
 use super::args::RegistrationArguments;
-use super::methods::check_distinct;
+use super::methods::{External, InFile, best, check_distinct};
 use crate::inputs::ColumnArguments;
-use crate::setup::{builtin_name, named, none_if_zero};
+use crate::setup::{named, none_if_zero};
 
 /// Size of the voxels to which clouds are downsampled, in metres.
 pub const VOXEL_SIZE: f64 = 0.03;
@@ -33,131 +33,123 @@ const PAPER: (&str, Length) = ("3dmatch", Length::Units(0.05));
 /// The detectors and descriptors to evaluate, and the models that they use.
 pub struct Methods<'a> {
     pub models: Vec<NamedModel>,
-    /// The model that was chosen for the first cloud, if none is named.
-    chosen: Option<String>,
-    combinations: Vec<Combination>,
-    external: &'a [(String, PathBuf)],
+    /// The model that suits the first cloud, if none is named.
+    which: Option<Builtin>,
+    all: Vec<Method>,
+    external: Vec<External<'a>>,
     columns: &'a ColumnArguments,
     /// The largest number of keypoints of a cloud.
-    most: usize,
-    /// The radius of suppression of classical detectors and of keypoints from files.
-    spacing: [Option<Length>; 2],
+    count: usize,
+    /// The radius of suppression of classical detectors.
+    spacing: Option<Length>,
+    /// The radius of suppression of keypoints from files.
+    file_spacing: Option<Length>,
 }
 
 /// A built-in detector or descriptor, or the index of one of the `--external`.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum Source<T> {
     Builtin(T),
     Files(usize),
 }
 
-/// A detector and the model that runs it, with its descriptors and their models.
-struct Combination {
-    source: Source<Detector>,
+/// A detector with a descriptor, and the model for those of them that run one.
+struct Method {
+    detector: Source<Detector>,
+    descriptor: Source<Descriptor>,
     model: usize,
-    descriptors: Vec<(Source<Descriptor>, usize)>,
 }
 
 impl<'a> Methods<'a> {
     /// The methods of the command line, whose models start from the options of registration.
     pub fn new(arguments: &'a RegistrationArguments, scenes: &Scenes) -> Result<Self> {
-        let RegistrationArguments { external, nms_radius, options, .. } = arguments;
-        let first = || arguments.run.columns.read(&scenes.clouds[scenes.pairs[0].target]);
-        let models = arguments
-            .run
-            .load_models(&options.values(), first, |model| VoxelCloud::default_options(model, VOXEL_SIZE))?;
-        let is_open = arguments.run.models.is_empty() && arguments.run.compute.is_open()?;
+        let RegistrationArguments { nms_radius, options, run, .. } = arguments;
+        let first = || run.columns.read(&scenes.clouds[scenes.pairs[0].target]);
+        let start = |model: &Model| VoxelCloud::default_options(model, VOXEL_SIZE);
+        let which = if run.models.is_empty() { run.compute.suited(&options.values(), first)? } else { None };
+        let mut models = run.load_models(which, start)?;
         let is_preset = options.preset() == Some(PAPER.0) && !options.given().contains_key("nms_radius");
-        let paper = is_preset.then_some(PAPER.1);
-        let resolve = |mut loaded: NamedModel| -> Result<NamedModel> {
+        let spacing_or_paper = nms_radius.or(is_preset.then_some(PAPER.1));
+        for loaded in &mut models {
             loaded.options = loaded.options.resolve(&options.values())?;
-            if let Some(radius) = nms_radius.or(paper) {
+            if let Some(radius) = spacing_or_paper {
                 loaded.options.detect.nms_radius = none_if_zero(radius);
             }
-            Ok(loaded)
-        };
+        }
         let mut methods = Self {
-            chosen: models.first().filter(|_| is_open).map(|loaded| builtin_name(&loaded.name).to_owned()),
-            models: models.into_iter().map(resolve).collect::<Result<_>>()?,
-            combinations: Vec::new(),
-            external,
-            columns: &arguments.run.columns,
-            most: arguments.max_keypoints.iter().copied().max().unwrap_or_default(),
-            spacing: [*nms_radius, nms_radius.or(paper)],
+            which,
+            models,
+            all: Vec::new(),
+            external: arguments.external.iter().map(|(name, folder)| External { name, folder }).collect(),
+            columns: &run.columns,
+            count: arguments.max_keypoints.iter().copied().max().unwrap_or_default(),
+            spacing: *nms_radius,
+            file_spacing: spacing_or_paper,
         };
-        methods.combinations = methods.combine(arguments, scenes)?;
+        methods.all = methods.combine(arguments, scenes)?;
         Ok(methods)
     }
 
     /// All combinations, in the order of the command line. Keypoints of files also have the descriptors of their own files.
-    fn combine(&self, arguments: &RegistrationArguments, scenes: &Scenes) -> Result<Vec<Combination>> {
-        let names = arguments.detectors.iter().map(name_of).collect::<Vec<_>>();
-        check_distinct("--detectors and --external", names.iter().chain(self.external.iter().map(|(name, _)| name)))?;
-        check_distinct("--descriptors", arguments.descriptors.iter())?;
+    fn combine(&self, arguments: &RegistrationArguments, scenes: &Scenes) -> Result<Vec<Method>> {
+        let names: Vec<String> = arguments.detectors.iter().map(name_of).collect();
+        check_distinct("--detectors and --external", names.iter().map(|name| &name[..]).chain(self.external_names()))?;
+        check_distinct("--descriptors", arguments.descriptors.iter().map(|name| &name[..]))?;
         let descriptors: Vec<Source<Descriptor>> =
             arguments.descriptors.iter().map(|name| self.descriptor(name)).collect::<Result<_>>()?;
-        let with_models = |source: Source<Descriptor>, model: Option<usize>| {
-            let models = match (model, source) {
-                (Some(model), _) => model..model + 1,
-                (None, Source::Builtin(Descriptor::Field)) => 0..self.models.len(),
-                _ => 0..1,
-            };
-            models.map(move |model| (source, model))
-        };
-        let mut combinations = Vec::new();
-        for &detector in &arguments.detectors {
-            let is_model = detector == Detector::Snake;
-            for model in 0..if is_model { self.models.len() } else { 1 } {
-                let descriptors = descriptors.iter().flat_map(|&source| with_models(source, is_model.then_some(model)));
-                let descriptors = descriptors.collect();
-                combinations.push(Combination { source: Source::Builtin(detector), model, descriptors });
+        let builtin = arguments.detectors.iter().map(|&detector| Source::Builtin(detector));
+        let mut methods = Vec::new();
+        for detector in builtin.chain((0..self.external.len()).map(Source::Files)) {
+            let mut descriptors = descriptors.clone();
+            if let Source::Files(file) = detector
+                && !descriptors.contains(&Source::Files(file))
+                && self.read(file, scenes, scenes.pairs[0].source, [0.0; 3])?.dimension > 0
+            {
+                descriptors.push(Source::Files(file));
+            }
+            let num_models = |runs_model: bool| if runs_model { self.models.len() } else { 1 };
+            let is_snake = detector == Source::Builtin(Detector::Snake);
+            for detector_model in 0..num_models(is_snake) {
+                for &descriptor in &descriptors {
+                    let is_field = descriptor == Source::Builtin(Descriptor::Field);
+                    let models = if is_snake { detector_model..detector_model + 1 } else { 0..num_models(is_field) };
+                    methods.extend(models.map(|model| Method { detector, descriptor, model }));
+                }
             }
         }
-        for file in 0..self.external.len() {
-            let is_own = |source: &Source<Descriptor>| matches!(source, Source::Files(other) if *other == file);
-            let mut all = descriptors.clone();
-            if !all.iter().any(is_own) && self.read(file, scenes, scenes.pairs[0].source, [0.0; 3])?.dimension > 0 {
-                all.push(Source::Files(file));
-            }
-            let descriptors = all.into_iter().flat_map(|source| with_models(source, None)).collect();
-            combinations.push(Combination { source: Source::Files(file), model: 0, descriptors });
-        }
-        Ok(combinations)
+        Ok(methods)
+    }
+
+    fn external_names(&self) -> impl Iterator<Item = &str> {
+        self.external.iter().map(|external| external.name)
     }
 
     fn descriptor(&self, name: &str) -> Result<Source<Descriptor>> {
-        let file = self.external.iter().position(|(other, _)| other == name).map(Source::Files);
+        let file = self.external_names().position(|other| other == name).map(Source::Files);
         file.or(named(name).ok().map(Source::Builtin)).ok_or_else(|| {
-            let known: Vec<&str> = self.external.iter().map(|(name, _)| &name[..]).collect();
-            anyhow!("--descriptors names {name}: allowed is {}", [&["field", "fpfh"], &known[..]].concat().join(", "))
+            let known: Vec<&str> = ["field", "fpfh"].into_iter().chain(self.external_names()).collect();
+            anyhow!("--descriptors names {name}: allowed is {}", known.join(", "))
         })
     }
 
     /// The rows of the tables: one for each method and model.
-    pub fn rows(&self) -> Vec<Method> {
-        let file = |file: usize| self.external[file].0.clone();
-        let mut rows = Vec::new();
-        for Combination { source, descriptors, .. } in &self.combinations {
-            let detector = match source {
-                Source::Builtin(Detector::Snake) => self.with_model(name_of(&Detector::Snake)),
-                Source::Builtin(detector) => name_of(detector),
-                Source::Files(number) => file(*number),
-            };
-            rows.extend(descriptors.iter().map(|(source, _)| {
-                let descriptor = match source {
-                    Source::Builtin(Descriptor::Field) => self.with_model(name_of(&Descriptor::Field)),
-                    Source::Builtin(descriptor) => name_of(descriptor),
-                    Source::Files(number) => file(*number),
-                };
-                Method { detector: detector.clone(), descriptor }
-            }));
-        }
-        rows
+    pub fn rows(&self) -> Vec<reports::Method> {
+        let row = |method: &Method| reports::Method {
+            detector: self.source_name(method.detector, Detector::Snake),
+            descriptor: self.source_name(method.descriptor, Descriptor::Field),
+        };
+        self.all.iter().map(row).collect()
     }
 
-    /// A name with the model that was chosen.
-    fn with_model(&self, name: String) -> String {
-        self.chosen.as_ref().map_or(name.clone(), |model| format!("{name} ({model})"))
+    /// The name of a detector or descriptor; that of `network` has the model that was chosen.
+    fn source_name<T: Serialize + PartialEq>(&self, source: Source<T>, network: T) -> String {
+        match (source, self.which) {
+            (Source::Files(file), _) => self.external[file].name.to_owned(),
+            (Source::Builtin(value), Some(which)) if value == network => {
+                format!("{} ({})", name_of(&value), which.name())
+            }
+            (Source::Builtin(value), _) => name_of(&value),
+        }
     }
 
     /// Reads a cloud and computes the keypoints of each detector with their descriptors.
@@ -172,71 +164,50 @@ impl<'a> Methods<'a> {
         let files: Vec<ExternalKeypoints> = (0..self.external.len()).map(read).collect::<Result<_>>()?;
         // The random keypoints of two clouds must be independent.
         let seed = seed.wrapping_add(index as u64);
-        let mut features = Vec::new();
-        for Combination { source, model, descriptors } in &self.combinations {
-            let ranked = match source {
-                Source::Builtin(detector) => {
-                    clouds[*model].keypoints(*detector, self.candidates(*detector, &points), seed, &control)?
-                }
-                Source::Files(file) => files[*file].positions.clone(),
-            };
-            let keypoints = self.apart(ranked, *source, &points)?;
-            for (descriptor, model) in descriptors {
-                let (descriptors, dimension) = match descriptor {
-                    Source::Builtin(descriptor) => {
-                        let rows = clouds[*model].descriptors(&keypoints, *descriptor, &control)?;
-                        (rows, clouds[*model].dimension(*descriptor)?)
-                    }
-                    Source::Files(file) => self.file_descriptors(*file, &files[*file], &keypoints)?,
-                };
-                features.push(Features { keypoints: keypoints.clone(), descriptors, dimension });
+        let keypoints = |detector: Source<Detector>, model: usize| match detector {
+            // The network suppresses itself.
+            Source::Builtin(Detector::Snake) => {
+                let ranked = clouds[model].keypoints(Detector::Snake, self.count, seed, &control)?;
+                best(ranked, None, self.count, &points)
             }
+            Source::Builtin(detector) => {
+                let candidates = if self.spacing.is_none() { self.count } else { points.len() };
+                let ranked = clouds[0].keypoints(detector, candidates, seed, &control)?;
+                best(ranked, self.spacing, self.count, &points)
+            }
+            Source::Files(file) => best(files[file].positions.clone(), self.file_spacing, self.count, &points),
+        };
+        let mut features: Vec<Features> = Vec::new();
+        for (index, &Method { detector, descriptor, model }) in self.all.iter().enumerate() {
+            let is_snake = detector == Source::Builtin(Detector::Snake);
+            let is_same = |other: &Method| detector == other.detector && (!is_snake || model == other.model);
+            let keypoints = match self.all[..index].iter().rposition(is_same) {
+                Some(earlier) => features[earlier].keypoints.clone(),
+                None => keypoints(detector, model)?,
+            };
+            let (descriptors, dimension) = match descriptor {
+                Source::Builtin(descriptor) => {
+                    let rows = clouds[model].descriptors(&keypoints, descriptor, &control)?;
+                    (rows, clouds[model].dimension(descriptor)?)
+                }
+                Source::Files(file) if files[file].descriptors.is_empty() && !keypoints.is_empty() => {
+                    let name = self.external[file].name;
+                    bail!("--external {name}: no `descriptors` in the file, or no keypoint has one")
+                }
+                Source::Files(file) => (files[file].descriptors_at(&keypoints)?, files[file].dimension),
+            };
+            features.push(Features { keypoints, descriptors, dimension });
         }
         Ok(DescribedCloud { points, origin, features })
     }
 
-    /// The number of keypoints to find before suppression; the network suppresses itself.
-    fn candidates(&self, detector: Detector, points: &[Point]) -> usize {
-        let suppresses = detector == Detector::Snake || self.spacing[0].is_none();
-        if suppresses { self.most } else { points.len() }
-    }
-
-    /// The best keypoints, farther apart than the radius of suppression.
-    fn apart(&self, ranked: Vec<Point>, source: Source<Detector>, points: &[Point]) -> Result<Vec<Point>> {
-        let spacing = match source {
-            Source::Builtin(Detector::Snake) => None,
-            Source::Builtin(_) => self.spacing[0],
-            Source::Files(_) => self.spacing[1],
-        };
-        let radius = match spacing.and_then(none_if_zero) {
-            Some(length) => length.in_units("nms_radius", points)?,
-            None => 0.0,
-        };
-        Ok(suppress_ranked(&ranked, radius as f32, self.most)?.into_iter().map(|index| ranked[index]).collect())
-    }
-
-    /// Descriptors of keypoints from one of the files, and their length.
-    fn file_descriptors(
-        &self,
-        file: usize,
-        found: &ExternalKeypoints,
-        keypoints: &[Point],
-    ) -> Result<(Vec<f32>, usize)> {
-        if found.descriptors.is_empty() && !keypoints.is_empty() {
-            bail!("--external {}: no `descriptors` in the file, or no keypoint has one", self.external[file].0);
-        }
-        Ok((found.descriptors_at(keypoints)?, found.dimension))
-    }
-
     fn read(&self, file: usize, scenes: &Scenes, cloud: usize, origin: [f64; 3]) -> Result<ExternalKeypoints> {
-        let (name, folder) = &self.external[file];
-        let path = folder.join(format!("{}.npz", scenes.cloud_name(cloud)));
-        ExternalKeypoints::read(&path, origin).with_context(|| format!("--external {name}"))
+        self.external[file].read(InFile { name: &scenes.cloud_name(cloud), origin })
     }
 }
 
 /// The name of a detector or descriptor on the command line.
-fn name_of(value: &impl serde::Serialize) -> String {
+fn name_of(value: &impl Serialize) -> String {
     serde_json::to_value(value).ok().and_then(|name| Some(name.as_str()?.to_owned())).unwrap_or_default()
 }
 

@@ -1,15 +1,15 @@
-//! A look at the pairs of a data set before hours of work: clouds that do not meet have figures near zero.
+//! A check of the pairs of a data set before hours of work: clouds that do not meet have figures near zero.
 
 use anyhow::Result;
 use snake_eval::{Meeting, meeting_note};
 
 use crate::terminal;
 
-/// The most pairs that are looked at, evenly spaced: a wrong direction or unit is that of all.
+/// The most pairs that are checked, evenly spaced; a wrong direction or unit affects all pairs.
 const MAX_PAIRS: usize = 50;
 
-/// Warns where clouds of the chosen pairs do not meet. `meeting` gives the name of a pair and how far it meets, or `None` for a
-/// pair whose transform is known. A pair that cannot be read is left to the evaluation, which says so.
+/// Warns of chosen pairs whose clouds do not meet. `meeting` gives the name of a pair and its [`Meeting`], or `None` for a pair
+/// whose transform is known. The evaluation reports pairs that cannot be read.
 pub fn warn_if_apart(chosen: &[usize], meeting: impl Fn(usize) -> Result<Option<(String, Meeting)>>) {
     let some = chosen.iter().step_by(chosen.len().div_ceil(MAX_PAIRS).max(1));
     let pairs: Vec<(String, Meeting)> =

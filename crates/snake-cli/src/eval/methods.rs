@@ -1,18 +1,18 @@
 //! The detectors that an evaluation compares.
 
 use std::collections::HashSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, DetectOptions, Length, NamedModel, Point};
+use snake_core::{Builtin, Chooser, Control, DetectOptions, Length, NamedModel, Point};
 use snake_eval::ExternalKeypoints;
 use snake_eval::reports::Models;
 use snake_geometry::suppress_ranked;
 use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
-use crate::setup::{builtin_name, none_if_zero};
+use crate::setup::none_if_zero;
 
 /// A detector with its options. It maps a cloud to the positions of its best keypoints.
 pub struct Method {
@@ -33,10 +33,31 @@ enum Source {
         detector: Detector,
         protocol: Protocol,
     },
-    /// Keypoints from files, `FOLDER/NAME.npz` for the cloud NAME.
-    External {
-        folder: PathBuf,
-    },
+    /// Keypoints from files, in this folder.
+    Files(PathBuf),
+}
+
+/// Keypoints of another program under a name, `FOLDER/CLOUD.npz` for each cloud.
+pub struct External<'a> {
+    pub name: &'a str,
+    pub folder: &'a Path,
+}
+
+impl External<'_> {
+    /// Reads the keypoints of one cloud.
+    pub fn read(&self, InFile { name, origin }: InFile) -> Result<ExternalKeypoints> {
+        let path = self.folder.join(format!("{name}.npz"));
+        ExternalKeypoints::read(&path, origin).with_context(|| format!("--external {}", self.name))
+    }
+}
+
+/// The best `count` keypoints of a cloud, farther apart than a radius.
+pub fn best(ranked: Vec<Point>, radius: Option<Length>, count: usize, points: &[Point]) -> Result<Vec<Point>> {
+    let radius = match radius.and_then(none_if_zero) {
+        Some(length) => length.in_units("nms_radius", points)?,
+        None => 0.0,
+    };
+    Ok(suppress_ranked(&ranked, radius as f32, count)?.into_iter().map(|index| ranked[index]).collect())
 }
 
 /// Keypoints of a cloud.
@@ -44,32 +65,38 @@ pub struct Ranked {
     /// Best first.
     pub positions: Vec<Point>,
     /// The model that was chosen for the cloud, if none was named.
-    pub model: Option<String>,
+    pub model: Option<Builtin>,
 }
 
-/// The cloud of a file of keypoints.
+/// The cloud that a file of keypoints belongs to.
 #[derive(Clone, Copy)]
 pub struct InFile<'a> {
-    /// The name of the file, without its extension.
+    /// The file's name without its extension.
     pub name: &'a str,
-    /// Offset to add to the cloud for the frame of its file.
+    /// Offset from the cloud's coordinates to those of its file.
     pub origin: [f64; 3],
 }
 
-/// How far apart the ranked keypoints of a method are.
+/// The least distance between the ranked keypoints of a method.
 #[derive(Clone, Copy)]
 enum Spacing {
-    /// As the method gives them.
+    /// The method's own.
     Own,
-    /// At least a length.
+    /// This length.
     Radius(Length),
     /// The radius at which the keypoints cover the clouds as `--coverage` asks.
     Coverage,
 }
 
+impl Spacing {
+    fn radius(self) -> Option<Length> {
+        if let Self::Radius(radius) = self { Some(radius) } else { None }
+    }
+}
+
 impl Method {
-    /// The methods of the command line. With `--nms-radius`, or else with a `spacing`, all ranked keypoints are farther apart
-    /// than that. With `--coverage` [`candidates`](Self::candidates) are not suppressed.
+    /// The methods of the command line. All ranked keypoints are farther apart than `--nms-radius`, or else `spacing`. With
+    /// `--coverage` [`candidates`](Self::candidates) are not suppressed.
     pub fn all(arguments: &EvalArguments, spacing: Option<Length>) -> Result<Vec<Self>> {
         let spacing = match arguments.coverage {
             Some(_) => Spacing::Coverage,
@@ -100,9 +127,9 @@ impl Method {
                 }
             }
         }
-        let files = |(name, folder): &(String, PathBuf)| of(name, Source::External { folder: folder.clone() }, spacing);
+        let files = |(name, folder): &(String, PathBuf)| of(name, Source::Files(folder.clone()), spacing);
         methods.extend(arguments.external.iter().map(files));
-        let names = arguments.methods.iter().chain(arguments.external.iter().map(|(name, _)| name));
+        let names = arguments.methods.iter().chain(arguments.external.iter().map(|(name, _)| name)).map(String::as_str);
         check_distinct("--methods and --external", names)?;
         Ok(methods)
     }
@@ -126,32 +153,24 @@ impl Method {
     }
 
     fn settings(&self) -> Value {
-        let spacing = match self.spacing {
-            Spacing::Radius(radius) => Some(radius),
-            Spacing::Own | Spacing::Coverage => None,
-        };
+        let mut settings = json!({"name": self.name, "spacing": self.spacing.radius()});
         match &self.source {
             Source::Snake { chooser, .. } => {
                 let model = |named: &NamedModel| json!({"model": named.model.metadata(), "options": named.options});
-                let models = chooser.models().iter().map(model).collect::<Vec<_>>();
-                json!({"name": self.name, "spacing": spacing, "models": models})
+                settings["models"] = chooser.models().iter().map(model).collect();
             }
-            Source::Classical { .. } => json!({"name": self.name, "spacing": spacing}),
-            Source::External { folder } => json!({"name": self.name, "spacing": spacing, "folder": folder}),
+            Source::Classical { .. } => (),
+            Source::Files(folder) => settings["folder"] = json!(folder),
         }
+        settings
     }
 
-    /// Positions of the best keypoints of a cloud, best first; `file` finds those in files. The seed determines random choices.
-    /// They are suppressed by the radius, in cloud units, or else by the method's own.
+    /// Positions of the best keypoints of a cloud, best first; `file` names the cloud for keypoints in files. The seed determines
+    /// random choices. `radius` suppresses them, in cloud units, or else the method's own radius.
     pub fn keypoints(&self, points: &[Point], file: Option<InFile>, seed: u64, radius: Option<f64>) -> Result<Ranked> {
-        let radius = match (radius, self.spacing) {
-            (Some(radius), _) => radius,
-            (None, Spacing::Own | Spacing::Coverage | Spacing::Radius(Length::Units(0.0))) => 0.0,
-            (None, Spacing::Radius(radius)) => radius.in_units("nms_radius", points)?,
-        };
+        let radius = radius.map(Length::Units).or(self.spacing.radius());
         let Ranked { positions, model } = self.candidates(points, file, seed)?;
-        let kept = suppress_ranked(&positions, radius as f32, self.count)?;
-        Ok(Ranked { positions: kept.into_iter().map(|index| positions[index]).collect(), model })
+        Ok(Ranked { positions: best(positions, radius, self.count, points)?, model })
     }
 
     /// Positions of all keypoints, best first, before suppression unless the detector suppresses itself.
@@ -162,33 +181,33 @@ impl Method {
                 self.set_number(&mut chosen.options.detect, *spacing);
                 let detection = chosen.detect(&Control::default())?;
                 let positions = detection.keypoints.iter().map(|keypoint| keypoint.position).collect();
-                let model = (chosen.by != ChosenBy::Name).then(|| builtin_name(&chosen.name).to_owned());
-                return Ok(Ranked { positions, model });
+                return Ok(Ranked { positions, model: chosen.which });
             }
             Source::Classical { detector, protocol } => {
                 let candidates = if matches!(self.spacing, Spacing::Own) { self.count } else { points.len() };
                 let responses = detector.keypoints(points, candidates, *protocol, seed)?;
                 responses.iter().map(|response| points[response.index]).collect()
             }
-            Source::External { folder } => {
-                let Some(InFile { name, origin }) = file else {
+            Source::Files(folder) => {
+                let Some(file) = file else {
                     bail!("--external needs a data set of pairs of clouds: the views of an object are drawn at random");
                 };
-                let file = folder.join(format!("{name}.npz"));
-                ExternalKeypoints::read(&file, origin).with_context(|| format!("--external {}", self.name))?.positions
+                External { name: &self.name, folder }.read(file)?.positions
             }
         };
         Ok(Ranked { positions, model: None })
     }
 
-    /// Sets how many keypoints a detection finds, and how far apart.
+    /// Sets the number of keypoints of a detection and the distance between them.
     fn set_number(&self, options: &mut DetectOptions, spacing: Spacing) {
         options.max_keypoints = self.count;
         match spacing {
             Spacing::Own => (),
             Spacing::Radius(radius) => options.nms_radius = none_if_zero(radius),
-            // Suppression follows, of all candidates.
-            Spacing::Coverage => (options.nms_radius, options.max_keypoints) = (None, usize::MAX),
+            // All candidates are suppressed afterwards.
+            Spacing::Coverage => {
+                (options.nms_radius, options.max_keypoints, options.min_confidence) = (None, usize::MAX, None)
+            }
         }
     }
 
@@ -199,7 +218,7 @@ impl Method {
 }
 
 impl Source {
-    /// The network, by each of the models or by that of each cloud.
+    /// One source for each named model, or one that chooses a model for each cloud.
     fn networks(rotations: Option<usize>, arguments: &EvalArguments, spacing: Spacing) -> Result<Vec<Self>> {
         let mut values = arguments.options.values();
         values.extend(rotations.map(|number| ("rotations".to_owned(), number.into())));
@@ -211,12 +230,14 @@ impl Source {
 /// How many clouds each model was chosen for.
 pub fn count_models(ranked: &[Ranked]) -> Models {
     let mut models = Models::new();
-    ranked.iter().filter_map(|ranked| ranked.model.clone()).for_each(|model| *models.entry(model).or_default() += 1);
+    for model in ranked.iter().filter_map(|ranked| ranked.model) {
+        *models.entry(model.name().to_owned()).or_default() += 1;
+    }
     models
 }
 
-/// Refuses a name that is given twice: rows of one name are taken for several models of one method.
-pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a String>) -> Result<()> {
+/// Refuses a name that is given twice, because a report takes rows of one name for several models of one method.
+pub fn check_distinct<'a>(option: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
     let mut known = HashSet::new();
     for name in names {
         if !known.insert(name) {

@@ -2,7 +2,6 @@
 
 pub mod args;
 mod described;
-mod files;
 mod meeting;
 mod methods;
 mod record;

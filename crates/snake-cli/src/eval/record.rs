@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use snake_eval::reports::Pair;
+use snake_eval::reports::Sample;
 
 use super::schedule::Task;
 use crate::terminal;
@@ -17,7 +17,7 @@ use crate::terminal;
 /// line has the settings.
 pub struct Record<Row> {
     file: Option<(PathBuf, File)>,
-    pairs: Vec<Pair<Row>>,
+    pairs: Vec<Sample<Row>>,
 }
 
 impl<Row: Serialize + DeserializeOwned> Record<Row> {
@@ -39,7 +39,7 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
             bail!("{} was written with other settings; delete it or give another --output", path.display());
         }
         let lines = whole.get(header.len()..).unwrap_or_default().lines();
-        let pairs: Result<Vec<Pair<Row>>, _> = lines.map(serde_json::from_str).collect();
+        let pairs: Result<Vec<Sample<Row>>, _> = lines.map(serde_json::from_str).collect();
         let pairs = pairs.with_context(|| format!("{} is damaged; delete it", path.display()))?;
         if pairs.len() > num_tasks {
             bail!("{} has more pairs than the data set; delete it or give another --output", path.display());
@@ -80,13 +80,13 @@ impl<Row: Serialize + DeserializeOwned> Record<Row> {
     }
 
     /// The finished pairs, in the order of the tasks.
-    pub fn pairs(&self) -> &[Pair<Row>] {
+    pub fn pairs(&self) -> &[Sample<Row>] {
         &self.pairs
     }
 
     /// Adds the next pair.
     fn append(&mut self, name: String, rows: Vec<Row>) -> Result<()> {
-        let pair = Pair { name, rows };
+        let pair = Sample { name, rows };
         if let Some((path, file)) = &mut self.file {
             let line = serde_json::to_string(&pair)? + "\n";
             file.write_all(line.as_bytes()).with_context(|| format!("cannot write {}", path.display()))?;

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use snake_core::NamedModel;
 use snake_core::Point;
 use snake_eval::datasets::{ScenePair, Scenes};
+use snake_eval::reports::Sample;
 use snake_eval::reports::registration::{Cases, INLIER_RATIO, RMSE, Row, report};
 use snake_eval::tables::paper::THREE_D_MATCH;
 use snake_eval::{
@@ -16,11 +17,8 @@ use snake_registration::mutual_nearest;
 
 use super::args::RegistrationArguments;
 use super::described::{Clouds, DescribedCloud, Methods, VOXEL_SIZE};
-use super::files;
 use super::meeting::warn_if_apart;
-use super::record::Record;
 use super::schedule::{Schedule, Task};
-use crate::terminal;
 
 // Settings that the benchmark fixes; lengths are in metres.
 /// A correspondence is an inlier up to this distance under the true transform.
@@ -40,7 +38,6 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
     }
     let methods = Methods::new(arguments, &scenes)?;
     let schedule = Schedule::new(scenes.pairs.len(), &arguments.run)?;
-    files::check(&arguments.run, "registration", scenes.clouds.iter().map(PathBuf::as_path))?;
     warn_if_apart(schedule.chosen(), |pair| {
         let ScenePair { source, target, t_target_source, .. } = &scenes.pairs[pair];
         let read = |cloud: usize| arguments.run.columns.read(&scenes.clouds[cloud]);
@@ -49,23 +46,18 @@ pub fn run(arguments: &RegistrationArguments) -> Result<()> {
         Ok(Some((scenes.name(pair), Meeting::of(&source.points, &target.points, &truth)?)))
     });
     let settings = settings(arguments, &methods);
-    let output = arguments.run.output.as_deref();
-    let mut record = Record::open(output, "registration", &settings, schedule.tasks().len())?;
     let mut clouds = Clouds::default();
     let rows_of = |Task { seed, index }| {
         let pair: &ScenePair = &scenes.pairs[index];
         let [source, target] = clouds.of(pair, &scenes, &methods, seed)?;
         rows(&arguments.max_keypoints, pair, source, target, seed)
     };
-    record.fill(schedule.tasks(), |pair| scenes.name(pair), rows_of)?;
     let pairs: Vec<&ScenePair> = schedule.chosen().iter().map(|&pair| &scenes.pairs[pair]).collect();
     let paper = arguments.run.paper.then_some(&THREE_D_MATCH);
     let cases = Cases { methods: &methods.rows(), keypoints: &arguments.max_keypoints };
-    let report = report(&cases, &settings, &pairs, &schedule.by_seed(record.pairs()), paper)?;
-    if let Some(output) = output {
-        files::write(output, "registration", &report.files())?;
-    }
-    terminal::print_report(&report.text_lines().into_iter().collect())
+    let report = |runs: &[&[Sample<Row>]]| report(&cases, &settings, &pairs, runs, paper);
+    let inputs = scenes.clouds.iter().map(PathBuf::as_path);
+    schedule.evaluate("registration", &settings, inputs, |pair| scenes.name(pair), rows_of, report)
 }
 
 /// All settings that the figures depend on, without the content of the data.

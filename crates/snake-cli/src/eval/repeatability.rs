@@ -6,17 +6,19 @@ use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use snake_core::Point;
 use snake_eval::datasets::{Scale, ViewPairs};
+use snake_eval::reports::Sample;
 use snake_eval::reports::repeatability::{Row, Sweeps, report};
 use snake_eval::tables::paper;
 use snake_eval::views::{Condition, PairClouds, Views};
-use snake_eval::{Meeting, RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability};
+use snake_eval::{
+    Meeting, RankedKeypoints, mean_distance_to_keypoints, radius_of_coverage, relative_repeatability,
+    repeatability_beyond_chance, share_on_flat_places,
+};
 use snake_io as io;
 
 use super::args::RepeatabilityArguments;
-use super::files;
 use super::meeting::warn_if_apart;
 use super::methods::{InFile, Method, count_models};
-use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::inputs::{ColumnArguments, expand};
 use crate::terminal;
@@ -40,20 +42,15 @@ pub fn run(arguments: &RepeatabilityArguments) -> Result<u8> {
         settings["left_out"] = json!(left_out);
     }
     let inputs = data.files().into_iter().chain(arguments.transform.as_deref()).chain(arguments.split.as_deref());
-    files::check(&common.run, "repeatability", inputs)?;
-    let mut record = Record::open(common.run.output.as_deref(), "repeatability", &settings, schedule.tasks().len())?;
-    record.fill(schedule.tasks(), |pair| data.name(pair), |task| plan.rows(&data, columns, task, &methods, &radii))?;
     let paper = match data.scale() {
         _ if !common.run.paper => None,
         Scale::Room => Some(&paper::REDWOOD),
         Scale::Object => Some(&paper::MODELNET40),
         Scale::Annotated => Some(&paper::KEYPOINTNET_VIEWS),
     };
-    let report = report(&plan.sweeps, &settings, &schedule.by_seed(record.pairs()), paper);
-    if let Some(output) = &common.run.output {
-        files::write(output, "repeatability", &report.files())?;
-    }
-    terminal::print_report(&report.text_lines().into_iter().collect())?;
+    let report = |runs: &[&[Sample<Row>]]| Ok(report(&plan.sweeps, &settings, runs, paper));
+    let rows = |task| plan.rows(&data, columns, task, &methods, &radii);
+    schedule.evaluate("repeatability", &settings, inputs, |pair| data.name(pair), rows, report)?;
     Ok(if left_out.is_empty() { SUCCESS } else { FAILURE })
 }
 
@@ -109,7 +106,7 @@ fn open_pair(inputs: &[PathBuf], transform: &Path) -> Result<ViewPairs> {
     Ok(ViewPairs::from_pair(source, target, t_target_source))
 }
 
-/// How far the clouds of a pair meet; `None` for an object.
+/// The name of a pair and its [`Meeting`]; `None` for an object.
 fn meeting(data: &ViewPairs, columns: &ColumnArguments, pair: usize) -> Result<Option<(String, Meeting)>> {
     match data.clouds(pair, &columns.options())? {
         PairClouds::Object(_) => Ok(None),
@@ -119,10 +116,13 @@ fn meeting(data: &ViewPairs, columns: &ColumnArguments, pair: usize) -> Result<O
     }
 }
 
-/// The radius of suppression for each condition and method, in units of the data set, where it is not the method's own.
+/// The neighbourhood that tells whether a keypoint stands on a flat place, in multiples of the tables' epsilon.
+const FLAT_RADIUS: f64 = 1.5;
+
+/// The suppression radius for each condition and method, in units of the data set; `None` for the method's own.
 type Radii = Vec<Vec<Option<f64>>>;
 
-/// The two clouds of a pair in files, where they have names.
+/// The files of keypoints of the two clouds of a pair; `None` for clouds without names.
 fn in_files<'a>(data: &'a ViewPairs, pair: usize, origins: &[[f64; 3]; 2]) -> [Option<InFile<'a>>; 2] {
     let names = data.cloud_names(pair);
     [0, 1].map(|which| names.map(|names| InFile { name: &names[which], origin: origins[which] }))
@@ -247,6 +247,9 @@ impl Plan {
                 let models = count_models(&ranked);
                 let [first, second] = ranked.map(|ranked| ranked.positions);
                 let repeatability = relative_repeatability(&first, &second, &t_1_2, &self.sweeps.epsilon)?;
+                let beyond_chance =
+                    repeatability_beyond_chance(&first, &second, &view_2, &t_1_2, &self.sweeps.epsilon)?;
+                let flat = share_on_flat_places(&view_1, &first, FLAT_RADIUS * self.sweeps.table_epsilon)?;
                 let coverage = if first.is_empty() { None } else { Some(mean_distance_to_keypoints(&view_1, &first)?) };
                 let keypoints = first.len();
                 rows.push(Row {
@@ -256,6 +259,8 @@ impl Plan {
                     keypoints,
                     coverage,
                     repeatability,
+                    beyond_chance,
+                    flat,
                 });
             }
         }

@@ -1,11 +1,25 @@
 //! The tasks of a run, in order.
 
-use anyhow::{Result, bail};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use snake_eval::reports::{Report, Sample};
+use snake_io as io;
 
 use super::args::RunArguments;
+use super::record::Record;
+use crate::output::InputFiles;
+use crate::terminal;
+
+/// The extensions of a metric's result files.
+const EXTENSIONS: [&str; 5] = ["csv", "json", "jsonl", "md", "svg"];
 
 /// The selected pairs or shapes, repeated for each seed.
-pub struct Schedule {
+pub struct Schedule<'a> {
+    run: &'a RunArguments,
     chosen: Vec<usize>,
     tasks: Vec<Task>,
 }
@@ -17,13 +31,13 @@ pub struct Task {
     pub index: usize,
 }
 
-impl Schedule {
+impl<'a> Schedule<'a> {
     /// Selects among `length` pairs or shapes by `--limit`, and repeats them for each seed.
-    pub fn new(length: usize, run: &RunArguments) -> Result<Self> {
+    pub fn new(length: usize, run: &'a RunArguments) -> Result<Self> {
         let chosen = evenly_spaced(length, run.limit)?;
         let seeds = (0..run.seeds.into()).map(|i| run.seed.wrapping_add(i));
         let tasks = seeds.flat_map(|seed| chosen.iter().map(move |&index| Task { seed, index })).collect();
-        Ok(Self { chosen, tasks })
+        Ok(Self { run, chosen, tasks })
     }
 
     /// Indices of the selected pairs or shapes.
@@ -37,8 +51,42 @@ impl Schedule {
     }
 
     /// The results of all tasks, seed by seed.
-    pub fn by_seed<'a, T>(&self, done: &'a [T]) -> Vec<&'a [T]> {
+    fn by_seed<'t, T>(&self, done: &'t [T]) -> Vec<&'t [T]> {
         done.chunks(self.chosen.len()).collect()
+    }
+
+    /// Evaluates every task that is not yet recorded, then writes and prints the report. `rows` gives the figures of a task, and
+    /// `report` the report of all figures, seed by seed. The output directory must not hold any of the `inputs`.
+    pub fn evaluate<'i, Row: Serialize + DeserializeOwned>(
+        &self,
+        metric: &str,
+        settings: &Value,
+        inputs: impl Iterator<Item = &'i Path>,
+        name: impl Fn(usize) -> String,
+        rows: impl FnMut(Task) -> Result<Vec<Row>>,
+        report: impl FnOnce(&[&[Sample<Row>]]) -> snake_core::Result<Report>,
+    ) -> Result<()>
+    where
+        'a: 'i,
+    {
+        let output = self.run.output.as_deref();
+        if let Some(folder) = output {
+            let models = self.run.compute.model.iter().chain(&self.run.models).map(PathBuf::as_path);
+            let inputs = InputFiles::new(inputs.chain(models));
+            let path = |extension: &&str| folder.join(format!("{metric}.{extension}"));
+            EXTENSIONS.iter().map(path).try_for_each(|path| inputs.refuse_as_output(&path))?;
+        }
+        let mut record = Record::open(output, metric, settings, self.tasks.len())?;
+        record.fill(&self.tasks, name, rows)?;
+        let report = report(&self.by_seed(record.pairs()))?;
+        if let Some(folder) = output {
+            for (extension, text) in report.files() {
+                let path = folder.join(format!("{metric}.{extension}"));
+                io::write_atomically(&path, |file| file.write_all(text.as_bytes()))
+                    .with_context(|| format!("cannot write {}", path.display()))?;
+            }
+        }
+        terminal::print_report(&report.text_lines().into_iter().collect())
     }
 }
 

@@ -6,14 +6,13 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use snake_core::{Cloud, Length, Point};
 use snake_eval::datasets::SemanticData;
+use snake_eval::reports::Sample;
 use snake_eval::reports::semantic::{Row, report};
 use snake_eval::tables::paper;
 use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage, semantic_counts, smpl_pair_counts};
 
 use super::args::{EvalArguments, SemanticArguments};
-use super::files;
 use super::methods::{InFile, Method, count_models};
-use super::record::Record;
 use super::schedule::{Schedule, Task};
 use crate::terminal;
 
@@ -29,20 +28,14 @@ pub fn run(arguments: &SemanticArguments) -> Result<()> {
     let schedule = Schedule::new(data.len(), &common.run)?;
     let radii = radii(&data, &schedule, &methods, common)?;
     let inputs = data.files().into_iter().chain([&*arguments.data]).chain(arguments.split.as_deref());
-    files::check(&common.run, "semantic", inputs)?;
-    let mut record = Record::open(common.run.output.as_deref(), "semantic", &settings, schedule.tasks().len())?;
-    record.fill(schedule.tasks(), |shape| data.name(shape), |task| rows(&data, task, &methods, &radii, arguments))?;
     let paper = common.run.paper.then_some(match data {
         SemanticData::KeypointNet(_) => &paper::KEYPOINTNET,
         _ => &paper::SMPL,
     });
     let classes: Vec<Option<&str>> = schedule.chosen().iter().map(|&shape| data.class(shape)).collect();
-    let runs = schedule.by_seed(record.pairs());
-    let report = report(&arguments.threshold, &settings, &runs, &classes, paper)?;
-    if let Some(output) = &common.run.output {
-        files::write(output, "semantic", &report.files())?;
-    }
-    terminal::print_report(&report.text_lines().into_iter().collect())
+    let report = |runs: &[&[Sample<Row>]]| report(&arguments.threshold, &settings, runs, &classes, paper);
+    let rows = |task| rows(&data, task, &methods, &radii, arguments);
+    schedule.evaluate("semantic", &settings, inputs, |shape| data.name(shape), rows, report)
 }
 
 /// All settings that the figures depend on, without the content of the data.
@@ -117,7 +110,8 @@ fn rows(
     arguments: &SemanticArguments,
 ) -> Result<Vec<Row>> {
     let (mut rng, [seed_1, seed_2, fill_seed]) = draws(task);
-    let (shape, threshold) = (task.index, &arguments.threshold);
+    let shape = task.index;
+    let threshold = &arguments.threshold;
     let compare_bodies = |body_1: &[Point], body_2: &[Point]| {
         let row = |(method, radius): (&Method, &Option<f64>)| {
             let names = [1, 2].map(|which| body_name(which, shape));

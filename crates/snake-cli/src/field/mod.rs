@@ -9,7 +9,6 @@ use serde_json::json;
 use snake_core::{Control, Field, Grid, Progress, add_origin};
 use snake_io as io;
 
-use crate::output::InputFiles;
 use crate::render::figure::{Panel, PanelAxis, figure};
 use crate::setup::detail_of;
 use crate::terminal;
@@ -17,9 +16,8 @@ use args::{FieldArguments, Quantity, Slice};
 
 /// Encodes the cloud, writes the picture or the volume and prints its bounds.
 pub fn run(arguments: &FieldArguments) -> Result<()> {
-    arguments.compute.start_threads()?;
     let FieldArguments { input, output, quantity, resolution, .. } = arguments;
-    InputFiles::new([input].into_iter().chain(&arguments.compute.model)).refuse_as_output(output)?;
+    arguments.compute.begin([input], [output])?;
     let extension = output.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let one_quantity = match (extension.as_str(), &quantity[..]) {
         ("png", _) => None,
@@ -41,7 +39,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     let field = chosen.encode(&control).with_context(|| name.clone())?;
     bar.finish();
     terminal::hints(&name, &chosen.note);
-    terminal::hint_outliers(&name, &field);
+    terminal::hint_findings(&name, &field);
     let grid = field.grid(*resolution)?;
     match one_quantity {
         Some(quantity) => write_volume(output, &field, &grid, quantity)?,
@@ -96,7 +94,8 @@ fn write_picture(
             Some(_) => Default::default(),
         };
         let panel = |&axis| {
-            let (axis, name) = (axis as usize, NAMES[axis as usize]);
+            let axis = axis as usize;
+            let name = NAMES[axis];
             let (title, values, position) = match arguments.slice {
                 // The clone is needed because an axis may be given twice.
                 None => (format!("largest {} along {name}", quantity.name()), largest[axis].clone(), None),

@@ -11,8 +11,8 @@ use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
 use snake_view::RegistrationPage;
 
-use crate::inputs::{check_inputs, output_origin};
-use crate::output::{InputFiles, check_page_path, write_page};
+use crate::inputs::output_origin;
+use crate::output::{check_page_path, write_page};
 use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use crate::{FAILURE, SUCCESS};
@@ -20,15 +20,12 @@ use args::RegisterArguments;
 
 /// Finds the transform, writes the output files and prints the result.
 pub fn run(arguments: &RegisterArguments) -> Result<u8> {
-    arguments.compute.start_threads()?;
     let RegisterArguments { source, target, output, aligned, view, .. } = arguments;
     output.as_deref().map_or(Ok(()), io::check_registration_path)?;
     aligned.as_deref().map(CloudFormat::from_path).transpose()?;
     view.as_deref().map_or(Ok(()), check_page_path)?;
-    check_inputs([source, target])?;
-    let inputs =
-        InputFiles::new([source, target].into_iter().chain(&arguments.compute.model).chain(&arguments.initial));
-    output.iter().chain(aligned).chain(view).try_for_each(|path| inputs.refuse_as_output(path))?;
+    let inputs = [source, target].into_iter().chain(&arguments.initial);
+    arguments.compute.begin(inputs, output.iter().chain(aligned).chain(view))?;
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
     let (mut options, mut pair) = arguments.options()?;
@@ -120,7 +117,8 @@ fn scaled(mut cloud: Cloud, scale: f64) -> Cloud {
 fn report(registration: &Registration, written: &[&Path]) -> Report {
     let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, instances, seconds, .. } =
         registration;
-    let (near, [source, target]) = (fit.inlier_distance, clouds);
+    let near = fit.inlier_distance;
+    let [source, target] = clouds;
     let mut report = Report::default();
     report.line(format!("{}: confidence {:.2}", verdict.word(), verdict.confidence));
     for note in &verdict.notes {
@@ -147,7 +145,8 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
         report.line("viewpoints: unknown");
     } else {
         let name = |used| if used == ViewpointUsed::Given { "given" } else { "the origin" };
-        let (violation, used) = (100.0 * verdict.free_space_violation, clouds.map(|cloud| name(cloud.viewpoint)));
+        let violation = 100.0 * verdict.free_space_violation;
+        let used = clouds.map(|cloud| name(cloud.viewpoint));
         report.line(format!("viewpoints: {} and {}; {violation:.1} % of the voxels in free space", used[0], used[1]));
     }
     for (rank, other) in hypotheses.iter().enumerate().skip(1) {

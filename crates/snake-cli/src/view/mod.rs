@@ -8,30 +8,22 @@ use anyhow::{Context, Result, bail};
 use snake_core::{Chosen, Cloud, Control, Error, Point, Progress};
 use snake_eval::datasets::annotated_points;
 use snake_io as io;
-use snake_view::{Page, Pair, ShownCloud};
+use snake_view::{Page, ShownCloud, ShownPair};
 
-use crate::inputs::check_inputs;
-use crate::output::{InputFiles, check_page_path, write_page};
+use crate::output::{check_page_path, write_page};
 use crate::setup::detail_of;
 use crate::terminal::{self, Report};
 use args::ViewArguments;
 
 /// Writes the page and prints a summary.
 pub fn run(arguments: &ViewArguments) -> Result<()> {
-    arguments.compute.start_threads()?;
     let ViewArguments { input, second, output, epsilon, transform, .. } = arguments;
     check_page_path(output)?;
     if second.is_none() && (epsilon.is_some() || transform.is_some()) {
         bail!("--epsilon and --transform need two clouds");
     }
-    check_inputs([input].into_iter().chain(second))?;
-    let inputs = [input]
-        .into_iter()
-        .chain(second)
-        .chain(transform)
-        .chain(&arguments.annotations)
-        .chain(&arguments.compute.model);
-    InputFiles::new(inputs).refuse_as_output(output)?;
+    let inputs = [input].into_iter().chain(second).chain(transform).chain(&arguments.annotations);
+    arguments.compute.begin(inputs, [output])?;
     let t_first_second = transform.as_deref().map(io::read_transform).transpose()?;
     let progress = Progress::default();
     let chooser = arguments.compute.chooser(&arguments.options.values())?;
@@ -54,7 +46,7 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let mut add = |input: &PathBuf, chosen: &Chosen| -> Result<()> {
         bar.set_message(name(input));
         let shown = ShownCloud::detect(chosen, name(input), &control).with_context(|| name(input))?;
-        bar.suspend(|| terminal::hint_outliers(&shown.name, &shown.field));
+        bar.suspend(|| terminal::hint_findings(&shown.name, &shown.field));
         clouds.push(shown);
         Ok(())
     };
@@ -67,13 +59,14 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     bar.set_message("registration");
     let pair = match &clouds[..] {
         [first, second] => {
-            let pair = Pair::aligned([first, second], t_first_second, *epsilon, &control);
+            let pair = ShownPair::aligned([first, second], t_first_second, *epsilon, &control);
             Some(pair.map_err(|error| not_aligned(error, first, second))?)
         }
         _ => None,
     };
     bar.finish();
-    let mut report: Report = clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(Pair::summary)).collect();
+    let mut report: Report =
+        clouds.iter().map(ShownCloud::summary).chain(pair.as_ref().map(ShownPair::summary)).collect();
     let colors = std::array::from_fn(|i| arguments.colormap.color(i as f32 / 255.0));
     let page = Page { clouds, pair, options: first.options, model_name: first.name.clone(), colors };
     let html = page.html()?;

@@ -1,83 +1,94 @@
 //! The choice of a model for each cloud.
 
+use std::sync::{Arc, OnceLock};
+
 use serde_json::{Map, Value};
 
-use super::model_choice::{BuiltinModels, ModelChoice, NamedModel};
 use super::rule::{by_cloud, by_options, note_of_doubt};
 use super::scale_hint;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
-use crate::{Builtin, Detection, Field, Model, Options, Result, cluster_hint};
+use crate::control::clock::Instant;
+use crate::{Builtin, Detection, Field, Model, Options, Preset, Result, cluster_hint};
 use snake_geometry::{Cloud, NormalizationMethod, Point};
 
 /// Chooses model and options for each cloud of a run, as `snake-cli`, Python and C do.
 ///
 /// A named model is used for all clouds. Without one, options that only one kind of model has name it: `voxel_size` scenes, and
-/// `preset`, `normalization` and several `rotations` objects. Else the cloud decides ([`Builtin::for_cloud`]).
+/// `preset`, `normalization` and several `rotations` objects. Else the cloud decides ([`Builtin::for_cloud`]). A built-in model is
+/// loaded when it is first used, and clones share it.
 ///
 /// ```
-/// use snake_core::{Chooser, Control, ModelChoice};
+/// use snake_core::{Builtin, Chooser, Control};
 /// # let ring = |a: f32, b: f32| [(1.0 + 0.4 * b.cos()) * a.cos(), (1.0 + 0.4 * b.cos()) * a.sin(), 0.4 * b.sin()];
 /// # let points: Vec<[f32; 3]> = (0..500).map(|i| ring(i as f32 * 0.1, i as f32 * 2.4)).collect();
 /// let values = serde_json::json!({ "max_keypoints": 20 });
-/// let chooser = Chooser::new(ModelChoice::default(), values.as_object().unwrap())?;
+/// let chooser = Chooser::default().with_values(values.as_object().unwrap())?;
 /// let chosen = chooser.for_points(&points)?;
 /// let detection = chosen.detect(&Control::default())?;
 /// println!("{}: {} keypoints", chosen.name, detection.keypoints.len());
-/// # assert_eq!(chosen.name, "compact, built-in");
+/// # assert_eq!(chosen.which, Some(Builtin::Compact));
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
-pub struct Chooser(Candidates);
-
-#[derive(Debug, Clone)]
-enum Candidates {
-    Named(NamedModel),
-    /// The option that names a built-in model, and its options.
-    ByOption(BuiltinModels, &'static str, Builtin, Options),
-    /// Options of each built-in model.
-    ByCloud(BuiltinModels, [Options; Builtin::ALL.len()]),
+pub struct Chooser {
+    named: Option<NamedModel>,
+    /// The option that names a built-in model.
+    by_option: Option<(&'static str, Builtin)>,
+    /// The options of each built-in model.
+    options: [Options; Builtin::ALL.len()],
+    /// Each built-in model that was used, and the seconds that it took to load.
+    loaded: Arc<[OnceLock<(Model, f64)>; Builtin::ALL.len()]>,
 }
 
 impl Default for Chooser {
     fn default() -> Self {
-        let models = BuiltinModels::default();
-        let options = Builtin::ALL.map(|which| *models.options(which));
-        Self(Candidates::ByCloud(models, options))
+        let options = Builtin::ALL.map(Builtin::recommended);
+        Self { named: None, by_option: None, options, loaded: Arc::default() }
+    }
+}
+
+impl From<NamedModel> for Chooser {
+    fn from(model: NamedModel) -> Self {
+        Self { named: Some(model), ..Self::default() }
     }
 }
 
 impl Chooser {
-    /// A chooser for given values of options, by name as in [`Options::with_values`]. The value `preset` names a set of options
+    /// The same choice with other options to begin with than those that a built-in model recommends.
+    #[must_use]
+    pub fn with_options(mut self, which: Builtin, options: Options) -> Self {
+        self.options[which as usize] = options;
+        self
+    }
+
+    /// The choice for given values of options, by name as in [`Options::with_values`]. The value `preset` names a set of options
     /// to begin with ([`Preset`](crate::Preset), or `standard`); else each model begins with its own.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) for an unknown name and for a value of another type;
     /// [`Error::Option`](crate::Error::Option) for an unknown preset.
-    pub fn new(choice: ModelChoice, values: &Map<String, Value>) -> Result<Self> {
-        Ok(Self(match choice {
-            ModelChoice::Named(named) => {
-                let options = named.options.resolve(values)?;
-                Candidates::Named(named.with_options(options))
-            }
-            ModelChoice::Auto(models) => match by_options(values) {
-                Some((option, which)) => {
-                    let options = models.options(which).resolve(values)?;
-                    Candidates::ByOption(models, option, which, options)
-                }
-                None => {
-                    let [compact, scenes] = Builtin::ALL.map(|which| models.options(which).resolve(values));
-                    Candidates::ByCloud(models, [compact?, scenes?])
-                }
-            },
-        }))
+    pub fn with_values(&self, values: &Map<String, Value>) -> Result<Self> {
+        let mut chooser = self.clone();
+        if let Some(named) = &mut chooser.named {
+            named.options = named.options.resolve(values)?;
+            return Ok(chooser);
+        }
+        chooser.by_option = by_options(values);
+        for which in chooser.candidates() {
+            chooser.options[which as usize] = self.options[which as usize].resolve(values)?;
+        }
+        Ok(chooser)
     }
 
-    /// The seed of the options, for what is drawn before a cloud is known.
+    /// Whether one model is used for all clouds because the caller named it.
+    pub fn is_named(&self) -> bool {
+        self.named.is_some()
+    }
+
+    /// The seed of the options, for random draws before a cloud is known.
     pub fn seed(&self) -> u64 {
-        let (Candidates::Named(NamedModel { options, .. })
-        | Candidates::ByOption(_, _, _, options)
-        | Candidates::ByCloud(_, [options, _])) = &self.0;
+        let options = self.named.as_ref().map_or(&self.options[self.candidates()[0] as usize], |named| &named.options);
         options.encode.seed
     }
 
@@ -99,58 +110,100 @@ impl Chooser {
 
     /// The models between which it chooses, with the options of each.
     pub fn models(&self) -> Vec<NamedModel> {
-        let builtin = |models: &BuiltinModels, which: Builtin, options: Options| {
-            NamedModel::new(models.get(which).clone(), which.report_name()).with_options(options)
-        };
-        match &self.0 {
-            Candidates::Named(named) => vec![named.clone()],
-            Candidates::ByOption(models, _, which, options) => vec![builtin(models, *which, *options)],
-            Candidates::ByCloud(models, options) => {
-                Builtin::ALL.iter().zip(options).map(|(which, options)| builtin(models, *which, *options)).collect()
-            }
+        match &self.named {
+            Some(named) => vec![named.clone()],
+            None => self.candidates().into_iter().map(|which| self.named_builtin(which)).collect(),
         }
+    }
+
+    /// A built-in model, which is loaded now if it was not used before.
+    pub fn builtin(&self, which: Builtin) -> &Model {
+        let slot = &self.loaded[which as usize];
+        if let Some((model, _)) = slot.get() {
+            return model;
+        }
+        // Loaded before the slot is locked: a child process that is forked meanwhile would find it locked forever.
+        let start = Instant::now();
+        let model = Model::builtin(which);
+        &slot.get_or_init(|| (model, start.elapsed().as_secs_f64())).0
     }
 
     /// Seconds that loading of built-in models took so far.
     pub fn load_seconds(&self) -> f64 {
-        match &self.0 {
-            Candidates::Named(_) => 0.0,
-            Candidates::ByOption(models, ..) | Candidates::ByCloud(models, _) => models.load_seconds(),
-        }
+        self.loaded.iter().filter_map(OnceLock::get).map(|(_, seconds)| seconds).sum()
+    }
+
+    /// The built-in models that clouds can have.
+    fn candidates(&self) -> Vec<Builtin> {
+        self.by_option.map_or(Builtin::ALL.to_vec(), |(_, which)| vec![which])
+    }
+
+    fn named_builtin(&self, which: Builtin) -> NamedModel {
+        let name = format!("{}, built-in", which.name());
+        NamedModel { model: self.builtin(which).clone(), name, options: self.options[which as usize] }
     }
 
     fn choose<'a>(&self, points: &'a [Point], origin: [f64; 3]) -> Result<Chosen<'a>> {
         let cloud = UsedCloud::new(points)?;
-        let (model, name, options, by) = match &self.0 {
-            Candidates::Named(NamedModel { model, name, options }) => {
-                (model.clone(), name.clone(), *options, ChosenBy::Name)
+        let builtin = |which, by, note| (Some(which), self.named_builtin(which), by, note);
+        let (which, NamedModel { model, name, options }, by, note) = match (&self.named, self.by_option) {
+            (Some(named), _) => (None, named.clone(), ChosenBy::Name, None),
+            (None, Some((option, which))) => {
+                builtin(which, ChosenBy::Option(option), note_of_option(option, which, by_cloud(&cloud)))
             }
-            Candidates::ByOption(models, option, which, options) => {
-                (models.get(*which).clone(), which.report_name(), *options, ChosenBy::Option(option))
-            }
-            Candidates::ByCloud(models, options) => {
-                let which = by_cloud(&cloud);
-                (models.get(which).clone(), which.report_name(), options[which as usize], ChosenBy::Cloud)
-            }
-        };
-        let note = match &self.0 {
-            Candidates::ByOption(_, option, which, _) => note_of_option(option, *which, by_cloud(&cloud)),
-            Candidates::ByCloud(..) => note_of_doubt(&cloud),
-            _ => None,
+            (None, None) => builtin(by_cloud(&cloud), ChosenBy::Cloud, note_of_doubt(&cloud)),
         };
         let (cloud, origin) = placed(cloud, points, origin, options.encode.normalization)?;
-        Ok(Chosen { model, name, options, by, note, cloud, origin })
+        Ok(Chosen { which, model, name, options, by, note, cloud, origin })
     }
 }
 
-impl Builtin {
-    /// The name in reports.
-    fn report_name(self) -> String {
-        format!("{}, built-in", self.name())
+/// A model with its name in reports and the options to begin with.
+#[derive(Debug, Clone)]
+pub struct NamedModel {
+    /// The model.
+    pub model: Model,
+    /// Its name in reports.
+    pub name: String,
+    /// The options that given values replace.
+    pub options: Options,
+}
+
+impl NamedModel {
+    /// A model with the options that it recommends.
+    pub fn new(model: Model, name: impl Into<String>) -> Self {
+        let options = *model.recommended();
+        Self { model, name: name.into(), options }
+    }
+
+    /// The same model with other options to begin with.
+    #[must_use]
+    pub fn with_options(self, options: Options) -> Self {
+        Self { options, ..self }
     }
 }
 
-/// A cloud in the frame that a normalisation asks for. With a fixed one coordinates are those of the network's frame, or twice
+impl Options {
+    /// These options with some of them replaced by name, as [`Options::with_values`] does. The value `preset` names a set of
+    /// options ([`Preset`], or `standard`) that replace these.
+    ///
+    /// # Errors
+    /// [`Error::Input`](crate::Error::Input) for an unknown name and for a value of another type;
+    /// [`Error::Option`](crate::Error::Option) for an unknown preset.
+    pub fn resolve(&self, values: &Map<String, Value>) -> Result<Self> {
+        let start = match values.get("preset") {
+            None | Some(Value::Null) => *self,
+            Some(Value::String(name)) if name == "standard" => *Model::named(name)?.recommended(),
+            Some(Value::String(name)) => Preset::named(name)?.options(),
+            Some(other) => Preset::named(&other.to_string())?.options(),
+        };
+        let mut values = values.clone();
+        values.remove("preset");
+        start.with_values(&values)
+    }
+}
+
+/// A cloud in the frame of a normalisation. With a fixed one coordinates are in the network's frame, or twice
 /// those, so the origin belongs to them.
 fn placed<'a>(
     cloud: UsedCloud<'a>,
@@ -165,7 +218,7 @@ fn placed<'a>(
     Ok((UsedCloud::new(&points)?.into_owned(), [0.0; 3]))
 }
 
-/// What to say of a model that an option named, if the cloud would have another one.
+/// The note on a model that an option named, if another one suits the cloud.
 fn note_of_option(option: &str, which: Builtin, suited: Builtin) -> Option<String> {
     let kind = match which {
         Builtin::Compact => "objects",
@@ -177,7 +230,7 @@ fn note_of_option(option: &str, which: Builtin, suited: Builtin) -> Option<Strin
     })
 }
 
-/// What decided the model of a cloud.
+/// The reason for the model of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ChosenBy {
@@ -185,7 +238,7 @@ pub enum ChosenBy {
     Name,
     /// An option that only its kind of models has.
     Option(&'static str),
-    /// What the cloud looks like.
+    /// The cloud looks like an object or like a scene.
     Cloud,
 }
 
@@ -193,15 +246,17 @@ pub enum ChosenBy {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Chosen<'a> {
+    /// Which built-in model it is; `None` if the caller named the model.
+    pub which: Option<Builtin>,
     /// The model.
     pub model: Model,
     /// The name of the model in reports.
     pub name: String,
     /// The options.
     pub options: Options,
-    /// What decided.
+    /// The reason for the model.
     pub by: ChosenBy,
-    /// A text for the user if an option changed the model from what the cloud would have, or if the cloud could be of
+    /// A text for the user if an option named another model than the one that suits the cloud, or if the cloud could be of
     /// either kind.
     pub note: Option<String>,
     /// The cloud, in the frame that the options ask for.
@@ -218,19 +273,12 @@ impl Chosen<'_> {
     pub fn with_cloud<'b>(&self, cloud: &'b Cloud) -> Result<Chosen<'b>> {
         let used = UsedCloud::new(&cloud.points)?;
         let (used, origin) = placed(used, &cloud.points, cloud.origin, self.options.encode.normalization)?;
-        let Self { model, name, options, by, .. } = self;
-        Ok(Chosen {
-            model: model.clone(),
-            name: name.clone(),
-            options: *options,
-            by: *by,
-            note: None,
-            cloud: used,
-            origin,
-        })
+        let Self { which, options, by, .. } = *self;
+        let model = self.model.clone();
+        Ok(Chosen { which, model, name: self.name.clone(), options, by, note: None, cloud: used, origin })
     }
 
-    /// What a user should know before detection: [`Chosen::note`] and [`scale_hint`].
+    /// The notes for a user before detection: [`Chosen::note`] and [`scale_hint`].
     pub fn notes(&self) -> Vec<String> {
         let scale = scale_hint(&self.cloud, self.model.config(), &self.options);
         self.note.iter().cloned().chain(scale).collect()
@@ -268,7 +316,7 @@ mod tests {
     }
 
     fn chooser(json: &str) -> Chooser {
-        Chooser::new(ModelChoice::default(), &values(json)).unwrap()
+        Chooser::default().with_values(&values(json)).unwrap()
     }
 
     /// A bumpy ball.
@@ -322,16 +370,16 @@ mod tests {
             assert!(models.iter().any(|model| (&model.name, model.options) == (&chosen.0, chosen.1)), "{json}");
         }
         let named = NamedModel::new(Model::builtin(Builtin::Compact), "mine");
-        assert_eq!(Chooser::new(named.into(), &Map::new()).unwrap().models()[0].name, "mine");
+        assert_eq!(Chooser::from(named).models()[0].name, "mine");
     }
 
     #[test]
     fn only_the_model_that_is_chosen_is_loaded() {
-        let models = BuiltinModels::default();
-        let chooser = Chooser::new(ModelChoice::Auto(models.clone()), &Map::new()).unwrap();
-        assert!(Builtin::ALL.iter().all(|&which| !models.is_loaded(which)));
-        chooser.for_points(&room()).unwrap();
-        assert_eq!(Builtin::ALL.map(|which| models.is_loaded(which)), [false, true]);
+        let chooser = Chooser::default();
+        let are_loaded = || Builtin::ALL.map(|which| chooser.loaded[which as usize].get().is_some());
+        assert_eq!(are_loaded(), [false, false]);
+        chooser.clone().for_points(&room()).unwrap();
+        assert_eq!(are_loaded(), [false, true]);
     }
 
     #[test]
@@ -339,7 +387,7 @@ mod tests {
         let named = NamedModel::new(Model::builtin(Builtin::Compact), "mine");
         let started = named.clone().with_options(named.options.with_values(&values(r#"{"snap": true}"#)).unwrap());
         let options = |json: &str| {
-            let chooser = Chooser::new(started.clone().into(), &values(json)).unwrap();
+            let chooser = Chooser::from(started.clone()).with_values(&values(json)).unwrap();
             let points = object();
             let chosen = chooser.for_points(&points).unwrap();
             assert_eq!((&chosen.name[..], chosen.by), ("mine", ChosenBy::Name));
@@ -354,7 +402,7 @@ mod tests {
 
     #[test]
     fn wrong_values_are_refused_before_a_cloud_is_there() {
-        let error = |json: &str| Chooser::new(ModelChoice::default(), &values(json)).unwrap_err().to_string();
+        let error = |json: &str| Chooser::default().with_values(&values(json)).unwrap_err().to_string();
         assert!(error(r#"{"max_keypoints": "many"}"#).contains("option `max_keypoints`"));
         assert!(error(r#"{"keypoints": 3}"#).contains("unknown option `keypoints`"));
         assert!(error(r#"{"preset": "scannet"}"#).contains("modelnet40"));

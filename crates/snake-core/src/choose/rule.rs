@@ -16,7 +16,7 @@ const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
 const DOUBT: f64 = 0.5;
 
-/// A wire or a curve is no scene: the surroundings of its cells are less broad than this.
+/// Clouds whose second scene sign, the breadth of surroundings, is at most this are wires or curves, never scenes.
 const CURVE: f64 = 0.2;
 
 /// The given option that only one kind of model has, and the built-in model of that kind. An option that is off does not
@@ -39,7 +39,7 @@ pub(super) fn by_cloud(cloud: &UsedCloud) -> Builtin {
     if cloud.is_sweep() || scene_score(cloud) > 0.0 { Builtin::Scenes } else { Builtin::Compact }
 }
 
-/// What to say of a cloud that looks about as much like a scene as like an object.
+/// The note on a cloud that looks about as much like a scene as like an object.
 pub(super) fn note_of_doubt(cloud: &UsedCloud) -> Option<String> {
     if cloud.is_sweep() || scene_score(cloud).abs() > DOUBT {
         return None;

@@ -7,7 +7,7 @@ use crate::network::ModelConfig;
 use crate::options::Options;
 use snake_geometry::Point;
 
-/// Share of the cloud's radius within which half of the points lie where far points decide the scale. Whole objects and
+/// A few far points set the scale if the median distance from the centre is below this fraction of the radius. Whole objects and
 /// rooms have 0.25 and more, a sweep of a spinning LiDAR about 0.1.
 const CROWDED: f64 = 0.2;
 /// Number of points and radii, in cloud units, of clouds that may be rooms in metres.
@@ -16,7 +16,7 @@ const ROOM_RADII: Range<f64> = 1.3..30.0;
 
 /// A text for the user if detection with these options suits another scale than the cloud's: a room that
 /// is detected as one object, or a LiDAR sweep. It also names
-/// [`Outliers`](crate::Outliers), which are left out, a haze ([`UsedCloud::haze`]), and coordinates that were rounded to more than
+/// what was left out ([`UsedCloud::findings`]), a haze ([`UsedCloud::haze`]), and coordinates that were rounded to more than
 /// a voxel. `None` if nothing is wrong. Clouds with the same fault have the same
 /// text, so that a program can say it once.
 ///
@@ -28,7 +28,6 @@ const ROOM_RADII: Range<f64> = 1.3..30.0;
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 pub fn scale_hint(cloud: &UsedCloud, config: &ModelConfig, options: &Options) -> Option<String> {
-    let outliers = cloud.outliers().map(|outliers| outliers.to_string());
     let haze = cloud.haze().map(|share| {
         format!(
             "about {:.0} % of the points stand alone, far from their neighbours, as haze and floaters do: keypoints may lie \
@@ -44,8 +43,8 @@ pub fn scale_hint(cloud: &UsedCloud, config: &ModelConfig, options: &Options) ->
             rounded(step.length)
         )
     });
-    let hints = [outliers, haze, step, hint_without_outliers(cloud.points(), config, options)];
-    hints.into_iter().flatten().reduce(|first, second| format!("{first}; {second}"))
+    let hints = [haze, step, hint_without_outliers(cloud.points(), config, options)];
+    cloud.findings().into_iter().chain(hints.into_iter().flatten()).reduce(|first, second| format!("{first}; {second}"))
 }
 
 /// A length with three digits.

@@ -1,4 +1,4 @@
-//! A cloud as it is used: its finite points without outliers, and what is measured of it, each once.
+//! The used points of a cloud, finite and without outliers and missing returns, and its measures, each taken once.
 
 mod coordinate_step;
 mod haze;
@@ -36,12 +36,12 @@ pub struct UsedCloud<'a> {
 }
 
 impl<'a> UsedCloud<'a> {
-    /// The used points of a cloud `(N, 3)`: the finite ones without outliers. They are copied only if some are left out.
+    /// The used points of a cloud `(N, 3)`: the finite ones without outliers and missing returns. They are copied only if some are left out.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
     pub fn new(points: &'a [Point]) -> Result<Self> {
-        Ok(Self::from_finite(FinitePoints::of("points", points)?, points.len()))
+        Ok(Self::from_finite(FinitePoints::clean("points", points, None)?, points.len()))
     }
 
     /// The used points of a cloud of `num_given` points.
@@ -63,6 +63,11 @@ impl<'a> UsedCloud<'a> {
     /// The points far beyond all others, which are left out, if there are any.
     pub fn outliers(&self) -> Option<Outliers> {
         self.finite.outliers()
+    }
+
+    /// What is wrong with the cloud and was left out, each in a sentence.
+    pub fn findings(&self) -> Vec<String> {
+        self.finite.findings()
     }
 
     /// Whether it looks like the sweep of a sensor in its midst.
@@ -93,5 +98,34 @@ impl<'a> UsedCloud<'a> {
 
     pub(crate) fn into_finite(self) -> FinitePoints<'a> {
         self.finite
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Builtin, Detection, FrameDetector, Model};
+    use snake_geometry::Point;
+
+    #[test]
+    fn missing_returns_change_no_keypoint_of_a_cloud_or_a_frame() {
+        let object = (0..2000).map(|i| {
+            let (sin, cos) = (i as f32 * 0.754_877_7).sin_cos();
+            [5.0 + cos * (i as f32 * 0.01).sin(), sin, (i as f32 * 0.001).fract()]
+        });
+        let clean: Vec<Point> = object.collect();
+        let dirty: Vec<Point> = clean.iter().flat_map(|point| [[0.0; 3], *point]).collect();
+        let model = Model::builtin(Builtin::Compact);
+        let detect = |points: &[Point]| model.detect(points, model.recommended()).unwrap();
+        let (expected, detection, mut frame) = (detect(&clean), detect(&dirty), Detection::default());
+        let mut frames = FrameDetector::new(model.clone(), *model.recommended()).unwrap();
+        frames.detect_into(&dirty, &mut frame).unwrap();
+        assert!(!expected.keypoints.is_empty() && expected.keypoints.len() == detection.keypoints.len());
+        for (keypoint, expected) in
+            detection.keypoints.iter().chain(&frame.keypoints).zip(expected.keypoints.iter().cycle())
+        {
+            assert_eq!(keypoint.position, expected.position);
+            assert_eq!(keypoint.nearest_index, 2 * expected.nearest_index + 1);
+        }
+        assert_eq!((detection.num_skipped, frame.num_skipped), (2000, 2000));
     }
 }

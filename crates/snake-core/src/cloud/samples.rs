@@ -1,4 +1,4 @@
-//! What the rules that look at a whole cloud measure: a part of its points, and quantiles.
+//! A part of a cloud's points and their quantiles, which the rules on whole clouds measure.
 
 use snake_geometry::Point;
 

@@ -45,7 +45,7 @@ fn distance(a: &Point, b: &Point) -> f64 {
 mod tests {
     use super::*;
 
-    /// What a sensor 1.8 above a plane sees of it in rings, and of walls 6 and 40 away.
+    /// The rings of a sensor 1.8 above a plane, and walls 6 and 40 away.
     fn sweep(unit: f32) -> Vec<Point> {
         let beam = |i: usize| {
             let azimuth = (i / 32) as f32 / 375.0 * std::f32::consts::TAU;

@@ -1,4 +1,4 @@
-//! What a call may do: progress, cancellation, deadline, limits, threads.
+//! Control of a call: progress, cancellation, deadline, limits, threads.
 
 pub(crate) mod clock;
 mod limits;

@@ -9,11 +9,11 @@ use crate::lattice::Queries;
 use crate::network::layers::TILE;
 use snake_geometry::Point;
 
-/// Queries in the network's frame, with the occupancy that they were chosen by.
+/// Queries in the network's frame, with their occupancy.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Occupied {
     pub(crate) positions: Vec<Point>,
-    /// Empty without a threshold: it is then evaluated nowhere.
+    /// Empty without a threshold, which needs no evaluation.
     pub(crate) occupancy: Vec<f32>,
 }
 

@@ -148,7 +148,7 @@ impl Field {
         self.normalization.to_cloud(self.lattice().bounds().map(|ends| ends[end]))
     }
 
-    /// The points of the cloud that are used, in the order they were given: the finite ones without outliers.
+    /// The points of the cloud that are used, in the order they were given: the finite ones without outliers and missing returns.
     pub fn points(&self) -> &[Point] {
         &self.points.points
     }
@@ -158,7 +158,7 @@ impl Field {
         &self.points
     }
 
-    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
+    /// Number of points of the cloud that were skipped because they are not finite, outliers or missing returns.
     pub fn num_skipped(&self) -> usize {
         self.num_skipped
     }
@@ -166,6 +166,11 @@ impl Field {
     /// The points far beyond all others, which were left out, if there are any.
     pub fn outliers(&self) -> Option<Outliers> {
         self.points.outliers()
+    }
+
+    /// What is wrong with the cloud and was left out, each in a sentence: missing returns and outliers.
+    pub fn findings(&self) -> Vec<String> {
+        self.points.findings()
     }
 
     /// The index in the cloud as it was given of one of [`Field::points`].

@@ -1,4 +1,4 @@
-//! What a field answers: values and gradients of a tile of queries, of one rotated copy or the average of several.
+//! Values and gradients of a field at a tile of queries, of one rotated copy or the average of several.
 
 use std::borrow::Cow;
 

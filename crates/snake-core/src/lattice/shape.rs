@@ -26,7 +26,7 @@ pub enum VolumeShape {
     },
 }
 
-/// What a detection is made cheaper by.
+/// The options that make a detection cheaper.
 pub(crate) enum TimeBudget {
     /// Fewer points and fewer queries.
     PointsAndQueries,
@@ -132,7 +132,7 @@ impl VolumeShape {
         }
     }
 
-    /// What a detection is made cheaper by.
+    /// The options that make a detection cheaper.
     pub(crate) fn time_budget(&self) -> TimeBudget {
         match self {
             Self::Cube(_) => TimeBudget::PointsAndQueries,

@@ -198,7 +198,7 @@ mod tests {
         }
     }
 
-    /// What a sensor of so many beams, 2 above a plane with walls 12 away, sees of both.
+    /// The points of a sensor with `num_beams` beams, 2 above a plane with walls 12 away.
     fn rings(num_beams: usize, num_columns: usize) -> Vec<Point> {
         let ray = |i: usize| {
             let azimuth = (i / num_beams) as f32 / num_columns as f32 * std::f32::consts::TAU;

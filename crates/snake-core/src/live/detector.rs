@@ -13,11 +13,11 @@ use snake_geometry::PointSource;
 /// one cloud, which are most of its memory, are used again for the next.
 ///
 /// ```
-/// use snake_core::{Builtin, Detection, Detector, Model};
+/// use snake_core::{Builtin, Detection, FrameDetector, Model};
 /// # let sweeps = [[[0.0_f32, 0.0, 1.0], [2.0, 0.0, 0.5], [0.0, 1.0, 0.0], [1.0, 1.0, 1.0]]];
 /// let model = Model::builtin(Builtin::Compact);
 /// let options = *model.recommended();
-/// let mut detector = Detector::new(model, options)?;
+/// let mut detector = FrameDetector::new(model, options)?;
 /// let mut detection = Detection::default();
 /// for sweep in &sweeps {
 ///     detector.detect_into(&sweep[..], &mut detection)?;
@@ -26,13 +26,13 @@ use snake_geometry::PointSource;
 /// # Ok::<(), snake_core::Error>(())
 /// ```
 #[derive(Debug, Clone)]
-pub struct Detector {
+pub struct FrameDetector {
     model: Model,
     options: Options,
     memory: FieldMemory,
 }
 
-impl Detector {
+impl FrameDetector {
     /// A detector of a model with options.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ impl Detector {
         self.detect_into_with(source, detection, &Control::default())
     }
 
-    /// [`Detector::detect_into`] with progress, cancellation and limits.
+    /// [`FrameDetector::detect_into`] with progress, cancellation and limits.
     ///
     /// # Errors
     /// The errors of [`Model::detect_with`].
@@ -100,7 +100,7 @@ mod tests {
     fn a_detector_finds_what_the_model_finds_cloud_after_cloud() {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
-        let mut detector = Detector::new(model.clone(), options).unwrap();
+        let mut detector = FrameDetector::new(model.clone(), options).unwrap();
         let mut detection = Detection::default();
         for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
             let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
@@ -116,7 +116,7 @@ mod tests {
     fn a_refused_cloud_leaves_the_last_detection_and_the_detector_goes_on() {
         let model = Model::builtin(Builtin::Compact);
         let options = *model.recommended();
-        let mut detector = Detector::new(model, options).unwrap();
+        let mut detector = FrameDetector::new(model, options).unwrap();
         let mut detection = Detection::default();
         let points = cloud(0.5, |_| false);
         detector.detect_into(&points, &mut detection).unwrap();

@@ -4,5 +4,5 @@ mod detector;
 mod realtime;
 mod tracker;
 
-pub use detector::Detector;
+pub use detector::FrameDetector;
 pub use tracker::{Tracker, TrackerOptions};

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::Model;
 use crate::detect::Detection;
 use crate::lattice::TimeBudget;
-use crate::live::detector::Detector;
+use crate::live::detector::FrameDetector;
 use crate::options::Options;
 use crate::{Error, Result};
 use snake_geometry::{Length, NormalizationMethod, Point};
@@ -60,7 +60,7 @@ impl Model {
         }
     }
 
-    /// The options with the finest query grid for which enough points can be encoded in so many seconds.
+    /// The options with the finest query grid for which enough points can be encoded in the time.
     fn most_points(&self, cloud: &[Point], seconds_of_budget: f64) -> Result<Options> {
         let mut best = None;
         for query_resolution in RESOLUTIONS {
@@ -77,7 +77,7 @@ impl Model {
         Ok(best.unwrap_or(*self.recommended()))
     }
 
-    /// The options of a scene model with the smallest voxels that take at most so many seconds.
+    /// The options of a scene model with the smallest voxels that take at most `seconds`.
     fn largest_voxels(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
         let recommended = *self.recommended();
         let with = |voxel_size| recommended.with_encode(recommended.encode.with_voxel_size(voxel_size));
@@ -102,7 +102,7 @@ impl Model {
     }
 
     fn median_seconds(&self, cloud: &[Point], options: Options) -> Result<f64> {
-        let mut detector = Detector::new(self.clone(), options)?;
+        let mut detector = FrameDetector::new(self.clone(), options)?;
         let mut detection = Detection::default();
         let mut seconds = [0.0; REPEATS];
         detector.detect_into(cloud, &mut detection)?;

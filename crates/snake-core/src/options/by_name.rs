@@ -54,7 +54,7 @@ pub fn with_named_values<T: Clone + Serialize + DeserializeOwned>(
     Ok(replaced)
 }
 
-/// What is wrong with a value, without Rust's names of types.
+/// The fault of a value in words, without Rust's names of types.
 #[doc(hidden)]
 pub fn in_words(error: &serde_json::Error) -> String {
     let text = error.to_string();

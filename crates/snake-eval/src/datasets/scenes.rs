@@ -95,7 +95,8 @@ impl Scenes {
             };
             let mut cloud = |i| Ok::<_, Error>(self.cloud(find_cloud(&folder.join(format!("cloud_bin_{i}")))?));
             let (source, target) = (cloud(source)?, cloud(target)?);
-            let (scene, information) = (name(folder), Some(*information));
+            let scene = name(folder);
+            let information = Some(*information);
             self.pairs.push(ScenePair { scene, source, target, fragments, t_target_source, information });
         }
         Ok(())

@@ -99,12 +99,12 @@ struct Problem<'a> {
     source: &'a [Point],
     target: &'a [Point],
     /// The correspondences in f64.
-    pairs: Vec<Pair>,
+    pairs: Vec<Correspondence>,
     options: &'a RansacOptions,
 }
 
 /// A source point and its partner in the target.
-type Pair = (Vector, Vector);
+type Correspondence = (Vector, Vector);
 
 /// A transform and its score.
 #[derive(Clone, Copy)]
@@ -131,7 +131,7 @@ impl<'a> Problem<'a> {
         Ok(Self { source, target, pairs, options })
     }
 
-    fn is_inlier(&self, transform: &RigidTransform, pair: &Pair) -> bool {
+    fn is_inlier(&self, transform: &RigidTransform, pair: &Correspondence) -> bool {
         squared_distance(transform, pair) < self.options.inlier_distance.powi(2)
     }
 
@@ -229,7 +229,7 @@ impl<'a> Problem<'a> {
 
 /// Whether the three edges have similar lengths in source and target. An edge of length 0 never
 /// agrees.
-fn edges_agree(sample: &[Pair; 3], ratio: f64) -> bool {
+fn edges_agree(sample: &[Correspondence; 3], ratio: f64) -> bool {
     [(0, 1), (1, 2), (2, 0)].into_iter().all(|(a, b)| {
         let [in_source, in_target] =
             [(sample[a].0 - sample[b].0).norm_squared(), (sample[a].1 - sample[b].1).norm_squared()];
@@ -238,7 +238,7 @@ fn edges_agree(sample: &[Pair; 3], ratio: f64) -> bool {
     })
 }
 
-fn squared_distance(transform: &RigidTransform, (source, target): &Pair) -> f64 {
+fn squared_distance(transform: &RigidTransform, (source, target): &Correspondence) -> f64 {
     (transform.apply_vector(source) - target).norm_squared()
 }
 

@@ -52,7 +52,8 @@ impl BodyModel {
         let Ok([template, shape, pose, weights, regressor, tree, faces]) = <[Array; 7]>::try_from(arrays) else {
             return Err("an array is missing".into());
         };
-        let (num_vertices, num_joints) = (template.shape.first().copied().unwrap_or(0), tree.items.len() / 2);
+        let num_vertices = template.shape.first().copied().unwrap_or(0);
+        let num_joints = tree.items.len() / 2;
         if num_vertices == 0 || num_joints == 0 || faces.items.is_empty() {
             return Err("no vertices, joints or faces".into());
         }

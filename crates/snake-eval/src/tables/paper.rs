@@ -3,8 +3,8 @@
 /// A table of the paper.
 pub struct PaperTable {
     /// The columns: epsilon, threshold, rate, σ or number of keypoints.
-    column_values: &'static [f64],
-    rows: &'static [(&'static str, &'static [f64])],
+    pub(super) column_values: &'static [f64],
+    pub(super) rows: &'static [(&'static str, &'static [f64])],
 }
 
 impl PaperTable {

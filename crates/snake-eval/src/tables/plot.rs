@@ -2,39 +2,35 @@
 
 use std::fmt::Write;
 
-use super::paper::PaperTable;
+use super::Chart;
 
-/// One diagram with values from 0 to 1.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Panel {
-    /// The label of the x axis.
-    pub x_label: String,
-    /// The x coordinates of the values, with their labels.
-    pub ticks: Vec<(f64, String)>,
-    /// The curves.
-    pub lines: Vec<Line>,
-}
-
-/// The curve of a method.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Line {
-    method: String,
-    /// One value for each tick; `None` where there is no figure.
-    pub values: Vec<Option<f64>>,
+/// The curve of a method in one diagram.
+struct Curve<'a> {
+    method: &'a str,
     /// Whether the figures are the paper's. The line is then dashed, in the colour of our method of the same name.
     is_paper: bool,
+    /// One value for each tick; `None` where there is no figure.
+    values: Vec<Option<f64>>,
 }
 
-impl Line {
-    /// A line of our own figures.
-    pub fn new(method: &str, values: Vec<Option<f64>>) -> Self {
-        Self { method: method.into(), values, is_paper: false }
-    }
+/// A diagram with values from 0 to 1.
+struct Panel<'a> {
+    x_label: &'a str,
+    /// The x coordinates of the values, with their labels.
+    ticks: Vec<(f64, String)>,
+    curves: Vec<Curve<'a>>,
+}
 
-    /// One line for each row of a table of the paper, with the figures for the given column values.
-    pub fn from_paper(table: &PaperTable, column_values: &[f64]) -> Vec<Self> {
-        let line = |(method, values): (&str, _)| Self { method: method.into(), values, is_paper: true };
-        table.at(column_values).into_iter().map(line).collect()
+impl<'a> Panel<'a> {
+    /// The diagram of a chart; `None` for a table alone.
+    fn new(chart: &'a Chart) -> Option<Self> {
+        let x_label = chart.axis.label.as_deref()?;
+        let values = &chart.axis.values;
+        let ours = chart.series.iter().map(|s| Curve { method: &s.method, is_paper: false, values: s.curve.clone() });
+        let theirs = chart.paper.into_iter().flat_map(|paper| paper.at(values));
+        let theirs = theirs.map(|(method, values)| Curve { method, is_paper: true, values });
+        let ticks = values.iter().map(|&value| ((chart.axis.x)(value), value.to_string())).collect();
+        Some(Self { x_label, ticks, curves: ours.chain(theirs).collect() })
     }
 }
 
@@ -50,15 +46,17 @@ const ENTRY: [f64; 2] = [120.0, 16.0];
 const COLORS: [&str; 9] =
     ["#d55e00", "#0072b2", "#009e73", "#e69f00", "#cc79a7", "#56b4e9", "#000000", "#999999", "#f0e442"];
 
-/// Draws the panels side by side with one legend below. The result is a whole SVG file.
-pub fn svg(y_label: &str, panels: &[Panel]) -> String {
-    let (mut methods, mut entries): (Vec<&str>, Vec<(&str, bool)>) = (Vec::new(), Vec::new());
-    for Line { method, is_paper, .. } in panels.iter().flat_map(|panel| &panel.lines) {
-        if !methods.contains(&method.as_str()) {
+/// Draws the charts side by side with one legend below: a whole SVG file. `None` if all of them are tables alone.
+pub fn svg(y_label: &str, charts: &[Chart]) -> Option<String> {
+    let panels: Vec<Panel> = charts.iter().filter_map(Panel::new).collect();
+    let mut methods: Vec<&str> = Vec::new();
+    let mut entries: Vec<(&str, bool)> = Vec::new();
+    for &Curve { method, is_paper, .. } in panels.iter().flat_map(|panel| &panel.curves) {
+        if !methods.contains(&method) {
             methods.push(method);
         }
-        if !entries.contains(&(method, *is_paper)) {
-            entries.push((method, *is_paper));
+        if !entries.contains(&(method, is_paper)) {
+            entries.push((method, is_paper));
         }
     }
     let color = |method: &str| {
@@ -75,7 +73,7 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
     for (i, panel) in panels.iter().enumerate() {
         let left = LEFT + i as f64 * (LEFT + WIDTH);
         text += &format!("<g transform=\"translate({left} {TOP})\">\n{}", axes(panel, y_label));
-        for Line { method, values, is_paper } in &panel.lines {
+        for Curve { method, values, is_paper } in &panel.curves {
             let points = panel.ticks.iter().zip(values).filter_map(|((x, _), y)| Some((across(panel, *x), up((*y)?))));
             let mut points: Vec<(f64, f64)> = points.collect();
             points.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -90,7 +88,7 @@ pub fn svg(y_label: &str, panels: &[Panel]) -> String {
         let mark = if is_paper { " (paper)" } else { "" };
         writeln!(text, "<text x=\"{}\" y=\"{}\">{method}{mark}</text>", x + 28.0, y + 4.0).unwrap_or_default();
     }
-    text + "</svg>\n"
+    (!panels.is_empty()).then(|| text + "</svg>\n")
 }
 
 /// Draws the frame, grid, ticks and labels.
@@ -143,21 +141,26 @@ fn up(share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tables::paper::PaperTable;
+    use crate::tables::{Axis, Series};
 
     #[test]
     fn lines_go_through_the_figures_in_the_order_of_x() {
-        let line = |method: &str, values: &[Option<f64>], is_paper| Line {
-            method: method.into(),
-            values: values.into(),
-            is_paper,
+        const PAPER: PaperTable = PaperTable { column_values: &[2.0], rows: &[("iss", &[0.25])] };
+        let chart = |label: &str, values: &[f64], series: &[(&str, &[Option<f64>])], paper| {
+            let axis = Axis { label: Some(label.into()), prefix: "", values: values.into(), x: |x| x };
+            let method = |&(method, curve): &(&str, &[Option<f64>])| Series {
+                title: String::new(),
+                method: method.into(),
+                cells: Vec::new(),
+                curve: curve.into(),
+            };
+            let series = series.iter().map(method).collect();
+            Chart { title: String::new(), first: "method", axis, others: &[], series, paper }
         };
-        let ticks = vec![(4.0, "four".to_owned()), (2.0, "two".to_owned()), (3.0, "three".to_owned())];
-        let lines =
-            vec![line("iss", &[Some(1.0), Some(0.0), Some(0.5)], false), line("iss", &[None, Some(0.25), None], true)];
-        let panel = Panel { x_label: "ε".into(), ticks, lines };
-        let alone = vec![(7.0, "seven".to_owned())];
-        let other = Panel { x_label: "σ".into(), ticks: alone, lines: vec![line("iss", &[Some(0.5)], false)] };
-        let text = svg("share", &[panel, other]);
+        let ours = chart("ε", &[4.0, 2.0, 3.0], &[("iss", &[Some(1.0), Some(0.0), Some(0.5)])], Some(&PAPER));
+        let alone = chart("σ", &[7.0], &[("iss", &[Some(0.5)])], None);
+        let text = svg("share", &[ours, alone]).unwrap();
         // 0.05, 0.5 and 0.95 of 300 across, and from 220 to 0 up.
         assert!(
             text.contains("points=\"15.0,220.0 150.0,110.0 285.0,0.0\" fill=\"none\" stroke=\"#d55e00\""),
@@ -170,13 +173,12 @@ mod tests {
         // Three lines and two of the legend.
         assert_eq!(text.matches("<polyline").count(), 5);
         assert_eq!((text.matches(">iss</text>").count(), text.matches(">iss (paper)</text>").count()), (1, 1));
-        for label in ["four", "two", "three", "seven", "ε", "σ", "share"] {
+        for label in ["4", "2", "3", "7", "ε", "σ", "share"] {
             assert!(text.contains(&format!(">{label}</text>")), "{label}");
         }
         // Two columns fit below one panel: seven names take four rows of 16.
-        let names = ["a", "b", "c", "d", "e", "f", "g"].map(|name| line(name, &[Some(0.5)], false));
-        let one = Panel { x_label: "ε".into(), ticks: vec![(7.0, "seven".into())], lines: names.into() };
-        let legend = svg("share", &[one]);
+        let names = ["a", "b", "c", "d", "e", "f", "g"].map(|name| (name, &[Some(0.5)][..]));
+        let legend = svg("share", &[chart("ε", &[7.0], &names, None)]).unwrap();
         assert!(
             legend.contains("width=\"396\" height=\"348\"") && legend.contains("<text x=\"76\" y=\"336\">g"),
             "{legend}"

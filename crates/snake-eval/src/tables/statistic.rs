@@ -3,7 +3,7 @@
 /// A mean with its standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Statistic {
-    /// The mean.
+    /// The mean; NaN where there is no figure.
     pub mean: f64,
     /// Sample standard deviation (n - 1); `None` for a single value.
     pub deviation: Option<f64>,
@@ -22,6 +22,7 @@ impl Statistic {
     /// The text of a table's cell.
     pub fn cell(&self) -> String {
         match self.deviation {
+            _ if self.mean.is_nan() => "-".into(),
             Some(deviation) => format!("{:.3} ±{deviation:.3}", self.mean),
             None => format!("{:.3}", self.mean),
         }
@@ -29,7 +30,10 @@ impl Statistic {
 
     /// Both numbers as cells of a CSV file.
     pub fn csv(&self) -> String {
-        format!("{},{}", self.mean, self.deviation.map(|deviation| deviation.to_string()).unwrap_or_default())
+        let number = |value: Option<f64>| {
+            value.filter(|value| !value.is_nan()).map(|value| value.to_string()).unwrap_or_default()
+        };
+        format!("{},{}", number(Some(self.mean)), number(self.deviation))
     }
 }
 
@@ -67,5 +71,7 @@ mod tests {
         assert_eq!(three, Statistic { mean: 0.5, deviation: Some(0.25) });
         let alone = Statistic::over_seeds(&[0.5], &[0.5]);
         assert_eq!((alone.cell().as_str(), alone.csv().as_str()), ("0.500", "0.5,"));
+        let none = Statistic::over_seeds(&[mean(&[])], &[]);
+        assert_eq!((none.cell().as_str(), none.csv().as_str()), ("-", ","));
     }
 }

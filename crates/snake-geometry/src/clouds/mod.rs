@@ -5,9 +5,9 @@ mod dense_core;
 mod keypoint;
 mod length;
 mod mesh;
+mod missing;
 mod outliers;
 mod points;
-mod zero_hint;
 
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use keypoint::Keypoint;
@@ -15,4 +15,3 @@ pub use length::{Length, gaps, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
 pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};
-pub use zero_hint::zero_hint;

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+use super::missing::{MAX_KINDS, missing_returns};
 use crate::{Error, Outliers, Reach, Result};
 
 /// One point, `[x, y, z]`.
@@ -119,6 +120,8 @@ pub struct FinitePoints<'a> {
     indices: Vec<usize>,
     /// The finite points that were left out.
     outliers: Option<Outliers>,
+    /// The missing returns that were left out, in words.
+    missing: Vec<String>,
 }
 
 impl<'a> FinitePoints<'a> {
@@ -138,15 +141,25 @@ impl<'a> FinitePoints<'a> {
             return Err(none_finite(what, points.len()));
         }
         let kept: Vec<Point> = indices.iter().map(|&index| points[index]).collect();
-        Ok(Self { points: kept.into(), indices, outliers: None }.without_outliers())
+        Ok(Self { indices, ..Self::all(kept.into()) }.without_outliers())
     }
 
     /// All points of a part of a cloud, which are finite. A part has no outliers: it need not be a cloud in itself.
     pub fn all(points: Cow<'a, [Point]>) -> Self {
-        Self { points, indices: Vec::new(), outliers: None }
+        Self { points, indices: Vec::new(), outliers: None, missing: Vec::new() }
     }
 
-    /// The points of a source that are used, copied into the memory of two vectors.
+    /// [`FinitePoints::of`] a cloud as a sensor or a file gives it: without missing returns too, which are points at one place, at
+    /// one distance from the sensor or at one depth behind all others. Without a known sensor it is taken to be at the origin,
+    /// and less is taken for missing. [`FinitePoints::findings`] names what was left out.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there are no finite points.
+    pub fn clean(what: &'static str, points: &'a [Point], sensor: Option<[f64; 3]>) -> Result<Self> {
+        Ok(Self::of(what, points)?.without_missing(sensor))
+    }
+
+    /// [`FinitePoints::clean`] of a source of points, copied into the memory of two vectors.
     pub fn copied(
         what: &'static str,
         cloud: impl ExactSizeIterator<Item = Point> + Clone,
@@ -164,20 +177,33 @@ impl<'a> FinitePoints<'a> {
             indices.reserve(points.len());
             indices.extend(cloud.enumerate().filter(|(_, point)| is_finite(point)).map(|(index, _)| index));
         }
-        Ok(FinitePoints { points: points.into(), indices, outliers: None }.without_outliers())
+        Ok(FinitePoints { indices, ..FinitePoints::all(points.into()) }.without_outliers().without_missing(None))
     }
 
     fn without_outliers(mut self) -> Self {
         let Some(reach) = Reach::of(self.points.iter().map(|point| point.map(f64::from))) else { return self };
         self.outliers = reach.outliers(&self.points);
         if self.outliers.is_some() {
-            let holds = |index: &usize| reach.holds(self.points[*index].map(f64::from));
-            let kept: Vec<usize> = (0..self.points.len()).filter(holds).collect();
-            let points: Vec<Point> = kept.iter().map(|&index| self.points[index]).collect();
-            self.indices = kept.into_iter().map(|index| self.original_index(index)).collect();
-            self.points = points.into();
+            self.retain(|_, point| reach.holds(point.map(f64::from)));
         }
         self
+    }
+
+    fn without_missing(mut self, sensor: Option<[f64; 3]>) -> Self {
+        for _ in 0..MAX_KINDS {
+            let Some((is_missing, words)) = missing_returns(&self.points, sensor) else { break };
+            self.retain(|index, _| !is_missing[index]);
+            self.missing.push(words);
+        }
+        self
+    }
+
+    /// Keeps some of the points.
+    fn retain(&mut self, is_kept: impl Fn(usize, &Point) -> bool) {
+        let kept: Vec<usize> = (0..self.points.len()).filter(|&index| is_kept(index, &self.points[index])).collect();
+        let points: Vec<Point> = kept.iter().map(|&index| self.points[index]).collect();
+        self.indices = kept.into_iter().map(|index| self.original_index(index)).collect();
+        self.points = points.into();
     }
 
     /// The index of a used point in the whole cloud.
@@ -188,6 +214,17 @@ impl<'a> FinitePoints<'a> {
     /// The finite points that were left out, if there are any.
     pub fn outliers(&self) -> Option<Outliers> {
         self.outliers
+    }
+
+    /// The missing returns that were left out, each kind in words.
+    pub fn missing(&self) -> &[String] {
+        &self.missing
+    }
+
+    /// What is wrong with the cloud and was left out, each in a sentence: missing returns, then outliers.
+    pub fn findings(&self) -> Vec<String> {
+        let missing = self.missing.iter().map(|words| format!("{words}; they are left out"));
+        missing.chain(self.outliers.map(|outliers| outliers.to_string())).collect()
     }
 
     /// The same points, copied if they are borrowed.

@@ -8,6 +8,6 @@ mod point_tree;
 mod radius_cells;
 
 pub use kd_tree::KdTree;
-pub use neighbors::{Neighbors, Vector, eigen, vector};
+pub use neighbors::{Neighbors, Vector, eigen, least_spread, vector};
 pub use point_tree::PointTree;
 pub use radius_cells::RadiusCells;

@@ -2,7 +2,7 @@
 
 use crate::{Error, Point, Result};
 
-/// A cloud that gives its points one by one: what `Detector::detect_into` of snake-core takes.
+/// A cloud that gives its points one by one: what `FrameDetector::detect_into` of snake-core takes.
 /// For other calls, [`PointSource::to_points`] copies it.
 ///
 /// Types that have the layout of `[f32; 3]`, such as `glam::Vec3` and `nalgebra::Point3<f32>`, need none of this:

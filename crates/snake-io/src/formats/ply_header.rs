@@ -11,7 +11,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 /// Names of the property with the corners of a face or of strips of triangles.
 const CORNERS: [&str; 2] = ["vertex_indices", "vertex_index"];
 
-/// What a header says about the data.
+/// The layout of the data.
 pub(crate) struct Header {
     pub(crate) is_ascii: bool,
     pub(crate) elements: Vec<Element>,

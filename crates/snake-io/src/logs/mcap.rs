@@ -65,7 +65,7 @@ struct Reader {
     topic: Option<String>,
     schemas: HashMap<u16, String>,
     channels: HashMap<u16, Arc<Channel>>,
-    /// What was found in a chunk.
+    /// The records of a chunk.
     waiting: VecDeque<Result<Found>>,
     has_ended: bool,
 }

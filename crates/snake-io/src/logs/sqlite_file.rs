@@ -104,7 +104,7 @@ fn files<'a>(path: &'a Path, journals: &'a [PathBuf]) -> impl Iterator<Item = &'
     std::iter::once(path).chain(journals.iter().map(PathBuf::as_path))
 }
 
-/// What changes when a file is written.
+/// The parts of the metadata that change when a file is written.
 fn version(metadata: &Metadata) -> (u64, Option<std::time::SystemTime>) {
     (metadata.len(), metadata.modified().ok())
 }

@@ -70,7 +70,7 @@ impl DecimalCommas {
     }
 }
 
-/// What is wrong in a row without three coordinates, and what to do. `names` are those of the header.
+/// The fault of a row without three coordinates, and the way out. `names` are those of the header.
 pub(crate) fn explain(row: &str, names: &[String], separator: Separator) -> String {
     let fields: Vec<&str> = separator.fields(row).collect();
     let first = fields.first().copied().unwrap_or_default();

@@ -6,6 +6,5 @@ pub(crate) mod near_grid;
 pub(crate) mod normals;
 pub(crate) mod patches;
 pub(crate) mod planes;
-pub(crate) mod spread;
 pub(crate) mod surface;
 pub(crate) mod voxels;

@@ -238,7 +238,7 @@ fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, 
 
 /// Runs a detector on the finite points of a cloud and returns indices into the whole cloud.
 fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
-    let finite = FinitePoints::of("points", points)?;
+    let finite = FinitePoints::clean("points", points, None)?;
     let responses = find(&finite.points)?.into_iter();
     Ok(responses.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
 }

@@ -2,14 +2,12 @@
 
 use std::collections::HashSet;
 
-use rayon::prelude::*;
+use snake_core::{Control, Result};
 
-use snake_core::{Control, Error, Result};
-
-use super::Registered;
-use super::scales::Given;
+use super::{Registered, register_each};
 use crate::options::PairOptions;
 use crate::register::register_with;
+use crate::steps::prepare::Given;
 
 /// `registered` with what [`register`](crate::register()) finds for some of the pairs in the place of what
 /// the voxels of all clouds showed. A note names each pair that is no longer reliable.
@@ -20,31 +18,22 @@ pub(super) fn registered_alone(
     notes: &mut Vec<([usize; 2], String)>,
     control: &Control,
 ) -> Result<Vec<Registered>> {
-    let counter = control.begin("verdicts", pairs.len());
-    let inner = control.without_progress();
-    let alone = pairs.par_iter().map(|&[source, target]| {
-        counter.check()?;
-        counter.add(1);
-        let viewpoint = |cloud: usize| given.viewpoints.get(cloud).copied().flatten();
-        let pair_options =
-            PairOptions::default().with_source_viewpoint(viewpoint(source)).with_target_viewpoint(viewpoint(target));
-        let clouds = [source, target].map(|cloud| given.points[cloud]);
-        match register_with(clouds[0], clouds[1], given.model, given.options, &pair_options, &inner) {
-            Ok(registration) => Ok(Some(([source, target], registration))),
-            Err(Error::NoTransform { .. }) => Ok(None),
-            Err(error) => Err(error),
-        }
-    });
-    let alone: Vec<Option<Registered>> = alone.collect::<Result<_>>()?;
-    for ([source, target], found) in pairs.iter().zip(&alone) {
-        let Some((_, registration)) = found.as_ref().filter(|(_, found)| !found.verdict.is_reliable) else { continue };
+    let alone = register_each("verdicts", pairs, control, |&[source, target], control| {
+        let pair_options = PairOptions::default()
+            .with_source_viewpoint(given.viewpoint(source))
+            .with_target_viewpoint(given.viewpoint(target));
+        let [from, to] = [source, target].map(|cloud| given.points[cloud]);
+        let registration = register_with(from, to, given.model, given.options, &pair_options, control)?;
+        Ok(Some(([source, target], registration)))
+    })?;
+    for ([source, target], registration) in alone.iter().filter(|(_, registration)| !registration.verdict.is_reliable) {
         let words = format!("clouds {source} and {target} (from 0) are left out: {}", registration.verdict.word());
         let reason = registration.verdict.notes.first().map(|note| format!(", {note}")).unwrap_or_default();
         notes.push(([*source, *target], words + &reason));
     }
     let replaced: HashSet<[usize; 2]> = pairs.iter().copied().collect();
     let kept = registered.into_iter().filter(|(pair, _)| !replaced.contains(pair));
-    let mut all: Vec<Registered> = kept.chain(alone.into_iter().flatten()).collect();
+    let mut all: Vec<Registered> = kept.chain(alone).collect();
     all.sort_by_key(|(pair, _)| *pair);
     Ok(all)
 }

@@ -8,8 +8,6 @@ mod pose_graph;
 mod priors;
 mod refine;
 mod result;
-mod scales;
-mod second_look;
 mod solved;
 #[cfg(test)]
 mod tests;
@@ -23,18 +21,17 @@ use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, RigidTransform};
 
 use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
-use crate::register::{Effort, register_guessed};
+use crate::register::tries::{Effort, Search, less_confident};
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
 use crate::steps::judge::units_note;
+use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, PreparedCloud};
 use crate::tuning::tuning;
 use alone::registered_alone;
 use priors::Priors;
 pub use result::{Alignment, Contradiction, Edge, Pose};
-use scales::{Given, Scales};
-use second_look::look_again;
-use solved::{believed, solve};
+use solved::{Solved, believed, solve};
 
 tuning! {
     /// Number of clouds, at most: the poses are solved for in one dense matrix.
@@ -45,17 +42,8 @@ tuning! {
     samples: usize = 16_000, unit "descriptors", from "set by hand in 595368d";
     /// Number of rounds of k-means.
     word_rounds: usize = 10, unit "rounds", from "set by hand in 595368d";
-    /// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share
-    /// a scale.
-    scale_ratio: f64 = 4.0, unit "ratio of lengths", from "set by hand in b0e7886";
-    /// A transform with this confidence is a witness for others.
-    reliable: f64 = 0.5, unit "probability", from "the confidence from which a verdict is reliable";
-    /// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
-    probes: usize = 50, unit "points", from "set by hand in 595368d";
     /// A loop of three transforms is closed if it moves points by less than this.
     loop_distance: f64 = 3.0, unit "inlier distances", from "set by hand in 595368d";
-    /// A transform takes part in the pose graph if its probability of being wrong is at most this.
-    max_doubt: f64 = 0.5, unit "probability", from "set by hand in c6a0685";
     /// Links that contradict the others are dropped at once if their error is above this share of
     /// the greatest.
     dropped: f64 = 0.5, unit "share of the greatest error", from "set by hand in c6a0685";
@@ -86,8 +74,6 @@ tuning! {
     /// A transform contradicts initial poses if it moves the source farther from where they put it.
     /// A thing has at least twice its standard deviation in height, so that a storey is higher.
     prior_tolerance: f64 = 1.5, unit "least standard deviations of a cloud", from "set by hand";
-    /// The same for thin clouds.
-    min_prior_tolerance: f64 = 2.0, unit "inlier distances", from "as two candidates of `refine` differ";
     /// Points are close if they are nearer than this.
     overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
 }
@@ -143,10 +129,10 @@ pub fn align_with(
     let inner = control.without_progress();
     control.begin("clouds", 0).check()?;
     let points = clouds.iter().map(AsRef::as_ref).collect();
-    let given = Given { points, viewpoints: &known.viewpoints, model, options };
-    let scales = Scales::new(&given, &inner)?;
-    let priors = Priors::new(&known.initial_poses, align_options.pose_tolerance, &given, &scales)?;
-    let clouds = scales.usual();
+    let given = Given { points, names: &[], viewpoints: known.viewpoints.clone(), model, options };
+    let pyramid = Pyramid::new(&given, &inner)?;
+    let priors = Priors::new(&known.initial_poses, align_options.pose_tolerance, &given, &pyramid)?;
+    let clouds = pyramid.usual();
     describe_all(clouds, control)?;
     let count = align_options.max_partners;
     let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
@@ -155,26 +141,27 @@ pub fn align_with(
     let mut left_out = Vec::new();
     // What poses were given for is judged with them.
     let mut judged = |registered: Vec<Registered>| {
-        let mut pairs = believed(&scales, &registered);
+        let mut pairs = believed(&pyramid, &registered);
         pairs.retain(|pair| !priors.has(*pair));
         registered_alone(&given, registered, &pairs, &mut left_out, control)
     };
-    let registered = priors.filter(register_pairs(&scales, &priors, &free, options, control)?, &mut contradictions);
-    let mut solved = solve(&scales, judged(registered)?, options, control)?;
-    let closer = priors.filter(look_again(&scales, &solved, options, control)?, &mut contradictions);
+    let registered = priors.filter(register_pairs(&pyramid, &priors, &free, options, control)?, &mut contradictions);
+    let mut solved = solve(&pyramid, judged(registered)?, options, control)?;
+    let closer = priors.filter(look_again(&pyramid, &solved, options, control)?, &mut contradictions);
     let closer = judged(closer)?;
-    solved = solved.with(closer, &scales, options, control)?;
+    solved = solved.with(closer, &pyramid, options, control)?;
     // The poses say which other clouds overlap, and where.
-    let guided = solved.guesses(&scales);
-    let more = register_pairs(&scales, &priors, &guided, options, control)?;
-    solved = solved.with(priors.filter(more, &mut contradictions), &scales, options, control)?;
+    let guided = solved.guesses(&pyramid);
+    let more = register_pairs(&pyramid, &priors, &guided, options, control)?;
+    solved = solved.with(priors.filter(more, &mut contradictions), &pyramid, options, control)?;
     let (edges, poses) = (solved.edges(), solved.poses());
     let mut contradictions: Vec<Contradiction> = contradictions.into_values().collect();
     contradictions.retain(|at| edges.iter().all(|edge| (edge.source, edge.target) != (at.source, at.target)));
     contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
     left_out.retain(|(pair, _)| edges.iter().all(|edge| [edge.source, edge.target] != *pair));
     left_out.sort();
-    let notes = units_notes(clouds).into_iter().chain(left_out.into_iter().map(|(_, note)| note)).collect();
+    let notes =
+        missing_notes(clouds).chain(units_notes(clouds)).chain(left_out.into_iter().map(|(_, note)| note)).collect();
     Ok(Alignment {
         poses,
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
@@ -196,6 +183,14 @@ fn check_count(count: usize) -> Result<()> {
         });
     }
     Ok(())
+}
+
+/// Notes on missing returns, which were left out of the clouds.
+fn missing_notes(clouds: &[PreparedCloud]) -> impl Iterator<Item = String> {
+    let indexed = clouds.iter().enumerate();
+    indexed.flat_map(|(index, cloud)| {
+        cloud.missing.iter().map(move |words| format!("cloud {index} (from 0): {words}; they are left out"))
+    })
 }
 
 /// A question about the units of each cloud whose size differs much from that of the median one.
@@ -228,34 +223,65 @@ type Registered = ([usize; 2], Registration);
 
 /// The registrations of all pairs for which there is a transform.
 fn register_pairs(
-    scales: &Scales,
+    pyramid: &Pyramid,
     priors: &Priors,
     pairs: &[Trial],
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<Vec<Registered>> {
-    let counter = control.begin("pairs", pairs.len());
-    let inner = control.without_progress();
-    let register = |&([source, target], guess): &Trial| {
-        counter.check()?;
-        let scale = scales.common(&[source, target]);
-        let [from, to] = [source, target].map(|cloud| scales.cloud(cloud, scale));
+    register_each("pairs", pairs, control, |([source, target], guess), control| {
+        let scale = pyramid.common(&[*source, *target]);
+        let [from, to] = [source, target].map(|&cloud| pyramid.cloud(cloud, scale));
         let pair = Pair::new(from, to, options.gravity);
         let registration = match guess {
             Some(_) => {
-                let guessed = PairOptions::default().with_initial(guess);
-                register_guessed(&pair, options, &guessed, &[], Effort::Usual, &inner)
+                let guessed = PairOptions::default().with_initial(*guess);
+                Search::new(&pair, options, &guessed, Effort::Usual, control).register()
             }
-            None => priors.register([source, target], &pair, options, &inner),
+            None => priors.register([*source, *target], &pair, options, control),
         };
+        registration.map(|registration| Some(([*source, *target], registration)))
+    })
+}
+
+/// Registers the most confident of the pairs that are not reliable and would join parts again: a few
+/// for each part, of clouds that have finer voxels, with the cost of that try.
+fn look_again(
+    pyramid: &Pyramid,
+    solved: &Solved,
+    options: &RegisterOptions,
+    control: &Control,
+) -> Result<Vec<Registered>> {
+    let joining = solved.joining(TUNING.second_looks);
+    register_each("finer voxels", &joining, control, |(clouds, first), control| {
+        let scale = pyramid.common(clouds);
+        let [Some(source), Some(target)] = clouds.map(|cloud| pyramid.finer(cloud, scale)) else { return Ok(None) };
+        let (pair, free) = (Pair::new(source, target, options.gravity), PairOptions::default());
+        let search = Search::new(&pair, options, &free, Effort::Usual, control);
+        let finer = Search { guesses: &[first.t_target_source], ..search }.register()?;
+        Ok(Some((*clouds, less_confident(finer))))
+    })
+}
+
+/// The registrations of what is tried, without those for which there is no transform.
+fn register_each<T: Sync>(
+    stage: &'static str,
+    trials: &[T],
+    control: &Control,
+    register: impl Fn(&T, &Control) -> Result<Option<Registered>> + Sync,
+) -> Result<Vec<Registered>> {
+    let counter = control.begin(stage, trials.len());
+    let inner = control.without_progress();
+    let one = |trial: &T| {
+        counter.check()?;
+        let registration = register(trial, &inner);
         counter.add(1);
         match registration {
-            Ok(registration) => Ok(Some(([source, target], registration))),
             // No three matches agree: these clouds do not fit.
             Err(Error::NoTransform { .. }) => Ok(None),
-            Err(other) => Err(other),
+            other => other,
         }
     };
-    let registered: Vec<Option<Registered>> = pairs.par_iter().map(register).collect::<Result<_>>()?;
+    let registered: Vec<Option<Registered>> = trials.par_iter().map(one).collect::<Result<_>>()?;
     Ok(registered.into_iter().flatten().collect())
 }

@@ -5,17 +5,16 @@ use std::collections::HashMap;
 use nalgebra::IsometryMatrix3;
 
 use snake_core::{Control, Error, Result};
-use snake_geometry::{Length, RigidTransform, Vector, resolution};
+use snake_geometry::{Length, RigidTransform, Vector, least_spread, resolution};
 
-use super::scales::{Given, Scales};
 use super::solved::probes;
 use super::{Contradiction, Registered, TUNING};
-use crate::cloud::spread::least_spread;
 use crate::options::{PairOptions, RegisterOptions};
-use crate::register::{Effort, register_guessed};
+use crate::register::tries::{Effort, Search};
 use crate::result::Registration;
 use crate::rigid::{displacement, moved};
-use crate::steps::{Pair, approach};
+use crate::steps::prepare::{Given, Pyramid};
+use crate::steps::{Pair, approach, refine};
 
 /// The initial poses of clouds in one frame, with the distances that do not contradict them.
 pub(super) struct Priors {
@@ -33,7 +32,7 @@ impl Priors {
         poses: &[Option<RigidTransform>],
         tolerance: Option<Length>,
         given: &Given,
-        scales: &Scales,
+        pyramid: &Pyramid,
     ) -> Result<Self> {
         let poses = |cloud: usize| poses.get(cloud)?.as_ref().map(|pose| *pose.with_exact_rotation().isometry());
         let mut coarsest = 0.0_f64;
@@ -43,16 +42,16 @@ impl Priors {
             }
         }
         let tolerance = tolerance.map(|length| length.resolve("pose_tolerance", || coarsest)).transpose()?;
-        let clouds = || 0..scales.len();
+        let clouds = || 0..pyramid.len();
         let by_cloud = |cloud: usize| {
-            let least = TUNING.min_prior_tolerance * scales.inlier_distance(scales.common(&[cloud]));
-            least.max(TUNING.prior_tolerance * least_spread(&scales.own(cloud).voxels.voxels.points))
+            let least = refine::TUNING.min_difference * pyramid.inlier_distance(pyramid.common(&[cloud]));
+            least.max(TUNING.prior_tolerance * least_spread(&pyramid.own(cloud).voxels.voxels.points))
         };
         Ok(Self {
             poses: clouds().map(poses).collect(),
             tolerances: clouds().map(|cloud| tolerance.unwrap_or_else(|| by_cloud(cloud))).collect(),
-            probes: clouds().map(|cloud| probes(scales.own(cloud))).collect(),
-            radii: clouds().map(|cloud| scales.own(cloud).diameter / 2.0).collect(),
+            probes: clouds().map(|cloud| probes(pyramid.own(cloud))).collect(),
+            radii: clouds().map(|cloud| pyramid.own(cloud).diameter / 2.0).collect(),
         })
     }
 
@@ -106,16 +105,16 @@ impl Priors {
         control: &Control,
     ) -> Result<Registration> {
         let free = PairOptions::default();
-        let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else {
-            return register_guessed(pair, options, &free, &[], Effort::Usual, control);
-        };
+        let search = Search::new(pair, options, &free, Effort::Usual, control);
+        let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else { return search.register() };
         let start = approach(pair, &prior, options.icp_steps, control)?;
-        let searched = register_guessed(pair, options, &free, &[start], Effort::Usual, control);
+        let searched = Search { guesses: &[start], ..search }.register();
         let contradicts = |found: &Registration| self.contradiction(clouds, found).is_some();
         if !searched.as_ref().is_ok_and(contradicts) {
             return searched;
         }
-        match register_guessed(pair, options, &free.with_initial(Some(prior)), &[], Effort::Usual, control) {
+        let guessed = free.with_initial(Some(prior));
+        match Search::new(pair, options, &guessed, Effort::Usual, control).register() {
             Ok(found) if found.verdict.is_reliable && !contradicts(&found) => Ok(found),
             Ok(_) | Err(Error::NoTransform { .. }) => searched,
             Err(error) => Err(error),

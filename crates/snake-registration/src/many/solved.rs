@@ -13,13 +13,16 @@ use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
 use super::pose_graph::Link;
 use super::refine::refine;
-use super::scales::Scales;
 use super::{Edge, Pose, Registered, Trial};
 use crate::cloud::surface::Surface;
 use crate::options::RegisterOptions;
 use crate::result::{Registration, Verdict};
 use crate::rigid::moved;
-use crate::steps::{PreparedCloud, judge};
+use crate::steps::prepare::Pyramid;
+use crate::steps::{PreparedCloud, consensus, judge};
+
+/// A transform takes part in the pose graph if its probability of being wrong is at most this.
+const MAX_DOUBT: f64 = 1.0 - judge::TUNING.reliable;
 
 /// Poses that follow registrations.
 pub(super) struct Solved {
@@ -35,28 +38,28 @@ pub(super) struct Solved {
 
 /// Believes registrations by their own evidence and by loops, and fits the poses to them.
 pub(super) fn solve(
-    scales: &Scales,
+    pyramid: &Pyramid,
     registered: Vec<Registered>,
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<Solved> {
     let counter = control.begin("poses", 0);
-    let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
-    let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
-    let all = all_doubts(scales, &registered, &probes);
-    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= TUNING.max_doubt).collect();
+    let probes: Vec<Vec<Vector>> = (0..pyramid.len()).map(|cloud| probes(pyramid.own(cloud))).collect();
+    let distance = |pair: &[usize; 2]| pyramid.inlier_distance(pyramid.common(pair));
+    let all = all_doubts(pyramid, &registered, &probes);
+    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= MAX_DOUBT).collect();
     let links: Vec<Link> = kept.iter().map(|&i| link(registered[i].0, &registered[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
     let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&registered[i].0)).collect();
-    let mut parts = split(scales.len(), &links, &doubts, &thresholds, &counter)?;
+    let mut parts = split(pyramid.len(), &links, &doubts, &thresholds, &counter)?;
     if options.icp_steps > 0 {
         for part in &mut parts {
-            let scale = scales.common(&part.clouds);
-            let pairs = overlapping(part, scales, TUNING.min_common);
-            let usual = |cloud| scales.cloud(cloud, scale);
-            let finer = |cloud| scales.finer(cloud, scale).unwrap_or(usual(cloud));
+            let scale = pyramid.common(&part.clouds);
+            let pairs = overlapping(part, pyramid, TUNING.min_common);
+            let usual = |cloud| pyramid.cloud(cloud, scale);
+            let finer = |cloud| pyramid.finer(cloud, scale).unwrap_or(usual(cloud));
             refine(part, &pairs, &surfaces(part, usual), &probes, &counter)?;
-            if part.clouds.iter().any(|&cloud| scales.finer(cloud, scale).is_some()) {
+            if part.clouds.iter().any(|&cloud| pyramid.finer(cloud, scale).is_some()) {
                 refine(part, &pairs, &surfaces(part, finer), &probes, &counter)?;
             }
             part.measure_errors(&links);
@@ -66,15 +69,15 @@ pub(super) fn solve(
 }
 
 /// The pairs whose registrations would take part in the poses.
-pub(super) fn believed(scales: &Scales, registered: &[Registered]) -> Vec<[usize; 2]> {
-    let probes: Vec<Vec<Vector>> = (0..scales.len()).map(|cloud| probes(scales.own(cloud))).collect();
-    let doubts = all_doubts(scales, registered, &probes).into_iter();
-    doubts.zip(registered).filter(|(doubt, _)| *doubt <= TUNING.max_doubt).map(|(_, (pair, _))| *pair).collect()
+pub(super) fn believed(pyramid: &Pyramid, registered: &[Registered]) -> Vec<[usize; 2]> {
+    let probes: Vec<Vec<Vector>> = (0..pyramid.len()).map(|cloud| probes(pyramid.own(cloud))).collect();
+    let doubts = all_doubts(pyramid, registered, &probes).into_iter();
+    doubts.zip(registered).filter(|(doubt, _)| *doubt <= MAX_DOUBT).map(|(_, (pair, _))| *pair).collect()
 }
 
 /// The probability that each registration is wrong.
-fn all_doubts(scales: &Scales, registered: &[Registered], probes: &[Vec<Vector>]) -> Vec<f64> {
-    let distance = |pair: &[usize; 2]| scales.inlier_distance(scales.common(pair));
+fn all_doubts(pyramid: &Pyramid, registered: &[Registered], probes: &[Vec<Vector>]) -> Vec<f64> {
+    let distance = |pair: &[usize; 2]| pyramid.inlier_distance(pyramid.common(pair));
     let witness =
         |(pair, registration): &Registered| witness(*pair, registration, TUNING.loop_distance * distance(pair));
     doubts(&registered.iter().map(witness).collect::<Vec<_>>(), probes)
@@ -91,12 +94,12 @@ fn surfaces<'a>(part: &Part, cloud: impl Fn(usize) -> &'a PreparedCloud + Sync) 
 
 impl Solved {
     /// The pairs without a link in use whose clouds overlap by the poses, with their transforms.
-    pub(super) fn guesses(&self, scales: &Scales) -> Vec<Trial> {
+    pub(super) fn guesses(&self, pyramid: &Pyramid) -> Vec<Trial> {
         let used = self.parts.iter().flat_map(|part| part.links.iter().map(|(index, _)| &self.links[*index]));
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
         let mut guesses: Vec<Trial> = Vec::new();
         for part in &self.parts {
-            for [at, before] in overlapping(part, scales, TUNING.min_overlap) {
+            for [at, before] in overlapping(part, pyramid, TUNING.min_overlap) {
                 let pair = [part.clouds[at], part.clouds[before]];
                 if !linked.contains(&pair) {
                     let guess = part.poses[before].inverse() * part.poses[at];
@@ -176,7 +179,7 @@ impl Solved {
     pub(super) fn with(
         self,
         mut more: Vec<Registered>,
-        scales: &Scales,
+        pyramid: &Pyramid,
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<Self> {
@@ -188,19 +191,19 @@ impl Solved {
         let kept = self.registered.into_iter().filter(|(pair, _)| !replaced.contains(pair));
         let mut all: Vec<Registered> = kept.chain(more).collect();
         all.sort_by_key(|(pair, _)| *pair);
-        solve(scales, all, options, control)
+        solve(pyramid, all, options, control)
     }
 }
 
 /// The pairs `[source, target]` of clouds, by their places in the part, that overlap by its poses.
-fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]> {
+fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 2]> {
     let all = (1..part.clouds.len()).flat_map(|at| (0..at).map(move |before| [at, before])).collect::<Vec<_>>();
-    let scale = scales.common(&part.clouds);
-    let inlier_distance = scales.inlier_distance(scale);
+    let scale = pyramid.common(&part.clouds);
+    let inlier_distance = pyramid.inlier_distance(scale);
     let overlap = |&[at, before]: &[usize; 2]| {
         let transform = part.poses[before].inverse() * part.poses[at];
-        let target = &scales.cloud(part.clouds[before], scale).voxels.voxels;
-        let probes = probes(scales.cloud(part.clouds[at], scale));
+        let target = &pyramid.cloud(part.clouds[before], scale).voxels.voxels;
+        let probes = probes(pyramid.cloud(part.clouds[at], scale));
         let is_close =
             |probe: &&Vector| target.distance(&moved(&transform, probe)) < TUNING.overlap_distance * inlier_distance;
         probes.iter().filter(is_close).count() as f64 >= min_overlap * probes.len() as f64
@@ -211,7 +214,7 @@ fn overlapping(part: &Part, scales: &Scales, min_overlap: f64) -> Vec<[usize; 2]
 /// Points of a cloud that tell how far it moves.
 pub(super) fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
     let points = &cloud.voxels.voxels.points;
-    points.iter().step_by(points.len().div_ceil(TUNING.probes).max(1)).copied().collect()
+    points.iter().step_by(points.len().div_ceil(consensus::TUNING.probes).max(1)).copied().collect()
 }
 
 fn witness([source, target]: [usize; 2], registration: &Registration, distance: f64) -> Witness {

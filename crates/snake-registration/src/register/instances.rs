@@ -3,9 +3,8 @@
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::second_look::less_confident;
+use super::tries::less_confident;
 use crate::cloud::planes::PlanePair;
-use crate::cloud::spread::least_spread;
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::options::PairOptions;
 use crate::result::{Instance, Matches, Registration};
@@ -17,7 +16,7 @@ use crate::steps::refine::icp::{iterate, symmetric_icp};
 use crate::steps::votes::{Vote, Votes, votes};
 use crate::tuning::tuning;
 use snake_core::{Control, Error, Result};
-use snake_geometry::Vector;
+use snake_geometry::{Vector, least_spread};
 
 tuning! {
     /// Number of poses that are compared for each instance, at most.

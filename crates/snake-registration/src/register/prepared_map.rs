@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use snake_core::{Cloud, Control, Error, Model, Result};
 
-use super::{Effort, register_guessed};
+use super::tries::{Effort, Search};
 use crate::options::{PairOptions, RegisterOptions, check_viewpoint};
 use crate::result::Registration;
 use crate::steps::{Lengths, Pair, PreparedCloud, prepare};
@@ -85,8 +85,8 @@ impl PreparedMap {
         let (viewpoint, model) = (pair_options.source_viewpoint, self.model.as_ref());
         let prepared = PreparedCloud::new(&scan.points, viewpoint, self.lengths(), model, &options, control)?;
         let pair = Pair::new(&prepared, &self.prepared, options.gravity);
-        let registration = register_guessed(&pair, &options, &pair_options, &[], Effort::Thorough, control)?;
-        let registration = registration.between_origins(scan.origin, self.origin);
+        let search = Search::new(&pair, &options, &pair_options, Effort::Thorough, control);
+        let registration = search.register()?.between_origins(scan.origin, self.origin);
         Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
     }
 }

@@ -9,6 +9,7 @@ use crate::detectors::Detector;
 use crate::options::Descriptor;
 use crate::rigid::tests::random_transform;
 use crate::rigid::transform_points;
+use crate::steps::{self, consensus, describe, judge, match_rows, refine};
 use snake_core::{Builtin, Cloud};
 use snake_geometry::{Length, RigidTransform, resolution};
 
@@ -363,10 +364,10 @@ fn single_matches_find_more_pairs_of_low_overlap() {
     for seed in [7, 9, 11, 12] {
         let ([source, target], truth) = sectors(seed);
         let (options, control) = (RegisterOptions::default(), Control::default());
-        let prepared = prepare_named(&[&source[..], &target], &NAMES, &[], None, &options, &control).unwrap();
+        let prepared = steps::prepare(&[&source, &target], &[], None, &options, &control).unwrap();
         let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
         let is_right = [Effort::Usual, Effort::Thorough].map(|effort| {
-            let one = register_guessed(&pair, &options, &PairOptions::default(), &[], effort, &control).unwrap();
+            let one = Search::new(&pair, &options, &PairOptions::default(), effort, &control).register().unwrap();
             let (angle, distance) = one.t_target_source.angle_and_distance_to(&truth);
             let near = angle < 0.02 && distance < 0.05;
             assert!(near || !one.verdict.is_reliable, "{seed}: {one:?}");

@@ -7,7 +7,7 @@ use crate::cloud::surface::{self, Surface};
 use crate::options::Axis;
 use crate::result::ViewpointUsed;
 use crate::steps::matches::{Criteria, Match};
-use crate::steps::prepare::PreparedCloud;
+use crate::steps::prepare::{PreparedCloud, PreparedClouds};
 use snake_core::{Error, Result};
 use snake_geometry::{RigidTransform, vector};
 
@@ -121,5 +121,12 @@ impl<'a> Pair<'a> {
 
     pub(crate) fn diameters(&self) -> [f64; 2] {
         self.clouds.map(|cloud| cloud.diameter)
+    }
+}
+
+impl PreparedClouds {
+    /// The pair of the first two clouds.
+    pub(crate) fn pair(&self, gravity: Option<Axis>) -> Pair<'_> {
+        Pair::new(&self.clouds[0], &self.clouds[1], gravity)
     }
 }

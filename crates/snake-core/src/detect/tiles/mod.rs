@@ -1,7 +1,7 @@
 //! Detection of one tile of a cloud that is too large for memory. Tiles give the keypoints of the whole cloud, bit for bit.
 //!
 //! The voxels of a scene lie on a lattice that begins below the lowest corner of the whole cloud. A tile owns whole columns along
-//! x and y, as wide as a block of the network's coarsest level. What the network makes of a voxel depends on the points of its
+//! x and y, as wide as a block of the network's coarsest level. The output of the network at a voxel depends on the points of its
 //! column and of [`TileDetector::halo`] columns around it. Mode seeking looks at candidates of some columns more
 //! ([`TileDetector::margin`]). The candidates of all tiles are suppressed together ([`TileDetector::fates`]), which says where a
 //! tile must know more of its neighbours.
@@ -30,7 +30,7 @@ use crate::{Error, Result};
 use snake_geometry::{Fate, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
 use snake_kernels::BLOCK_SIDE;
 
-/// Columns around a tile whose points its voxels depend on.
+/// The number of columns around a tile whose points its voxels depend on.
 ///
 /// The receptive field is 79 voxels in each direction, counting blocks that exist only because a neighbour has points. That is
 /// less than five blocks of the coarsest level.
@@ -133,7 +133,7 @@ impl TileDetector {
         detect.radii(&[], self.voxel_size)
     }
 
-    /// What decides the candidates of a tile, apart from the cloud.
+    /// The model and the options, which decide the candidates of a tile together with the cloud.
     pub fn settings(&self) -> TileSettings {
         TileSettings { model: self.network.digest.clone(), options: self.options }
     }
@@ -194,7 +194,7 @@ impl TileDetector {
         [0, 1].map(|axis: usize| voxel[axis].div_euclid(self.voxels_of_column()))
     }
 
-    /// The number of columns around some columns whose points their candidates depend on.
+    /// The number of columns around a tile whose points its candidates depend on.
     pub fn halo(&self) -> i32 {
         HALO
     }
@@ -206,8 +206,8 @@ impl TileDetector {
         self.radii.mode.map_or(0, |radius| columns(radius).max(1))
     }
 
-    /// The candidates of the voxels in the columns `[x, y]` of `tile`. `None` if mode seeking needs a larger margin: the most salient
-    /// candidates are moved, some distance apart, and which these are can depend on a chain of others.
+    /// The candidates of the voxels in the columns `[x, y]` of `tile`. `None` if mode seeking needs a larger margin: it moves the
+    /// most salient candidates that are some distance apart, and each choice can depend on a chain of others.
     ///
     /// `points` are all finite points in these columns and in `margin` and [`TileDetector::halo`] columns around them, in the order
     /// of the whole cloud. More points do no harm. `is_whole` says that no points of the cloud are farther than the margin.
@@ -264,8 +264,7 @@ impl TileDetector {
         self.column(point).is_ok_and(is_inside)
     }
 
-    /// The candidates of a tile that mode seeking starts from, where it moves them. `candidates` are those of the columns
-    /// `seen`, or of the whole cloud.
+    /// The candidates of a tile after mode seeking. `candidates` are those of the columns `seen`, or of the whole cloud.
     fn modes(
         &self,
         candidates: &[Candidate],
@@ -315,8 +314,8 @@ impl TileDetector {
         f64::from(self.radii.nms) * (1.0 + 1e-5)
     }
 
-    /// The fate of each candidate of a part of the cloud. `sees_all` says for a candidate whether the part has all
-    /// candidates within [`TileDetector::suppression_reach`]. Candidates are ranked by [`by_rank`].
+    /// The fate of each candidate of a part of the cloud. `sees_all` tells whether the part has all candidates within
+    /// [`TileDetector::suppression_reach`] of one. Candidates are ranked by [`by_rank`].
     ///
     /// # Errors
     /// [`Error::Input`] for more candidates than [`u32::MAX`].
@@ -352,7 +351,7 @@ fn check_parts(detect: &DetectOptions, max_points: Option<usize>) -> Result<()> 
     Ok(())
 }
 
-/// A volume that is too large for a voxel size has room in smaller tiles.
+/// Adds to the error of a volume that is too large that smaller tiles help.
 fn advised(error: Error) -> Error {
     match error {
         Error::Option { name: "voxel_size", value, allowed } => {

@@ -1,4 +1,4 @@
-//! Tiles of a place against the whole.
+//! Tiles of a hall against the whole.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use crate::{Builtin, Keypoint, Model};
 use snake_geometry::resolution;
 
 /// A strip of floor, 16 by 1.5, with walls and posts: it is longer than a tile with its halo.
-fn place() -> Vec<Point> {
+fn hall() -> Vec<Point> {
     let floor = (0..9600).map(|i| [(i % 320) as f32 * 0.05 - 5.0, (i / 320) as f32 * 0.05, 0.0]);
     let wall =
         |x: f32| (0..900).map(move |i| [x + 0.01 * (i % 9) as f32, (i % 30) as f32 * 0.05, (i / 30) as f32 * 0.05]);
@@ -87,7 +87,7 @@ fn is_equal(kept: &[Candidate], whole: &[Keypoint]) -> bool {
 #[test]
 fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
     let model = Model::builtin(Builtin::Scenes);
-    let points = place();
+    let points = hall();
     for (mode_radius, tilings) in [
         (None, &[(1, 0), (5, -2), (2, 1), (64, -29)][..]),
         (Some(Length::Resolutions(3.5)), &[(2, 1), (1, 0), (3, -1)]),
@@ -114,7 +114,7 @@ fn tiles_of_any_size_give_the_bits_of_the_whole_cloud() {
 #[test]
 fn tiles_need_points_of_other_tiles() {
     let model = Model::builtin(Builtin::Scenes);
-    let (points, options) = (place(), options(None));
+    let (points, options) = (hall(), options(None));
     let detector = detector_of(&model, &options, &points);
     assert_eq!((detector.column_side(), detector.margin()), (16.0 * VOXEL, 0));
     let whole = model.detect(&points, &options).unwrap();
@@ -128,9 +128,9 @@ fn the_voxel_size_is_chosen_as_for_the_whole_cloud() {
     options.encode.voxel_size = None;
     let mut detector = TileDetector::new(&model, &options).unwrap();
     assert!(detector.needs_voxel_size());
-    detector.choose_voxel_size(&place()).unwrap();
+    detector.choose_voxel_size(&hall()).unwrap();
     assert!(!detector.needs_voxel_size());
-    let whole = model.encode(&place(), &options.encode).unwrap();
+    let whole = model.encode(&hall(), &options.encode).unwrap();
     assert_eq!(detector.options().encode.voxel_size, Some(Length::Units(whole.voxel_size().into())));
     assert!(detector.choose_voxel_size(&[[1.0; 3]; 9]).is_err());
 }

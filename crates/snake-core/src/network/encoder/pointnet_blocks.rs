@@ -81,7 +81,7 @@ pub(super) struct PooledBlock {
     shortcut: SplitLinear,
 }
 
-/// What the maxima of voxels add to `fc_0` and to the shortcut of their points, each `(voxels, hidden)`.
+/// The terms of the voxels' maxima in `fc_0` and in the shortcut of their points, each `(voxels, hidden)`.
 pub(super) struct VoxelTerms {
     fc_0: Vec<f32>,
     shortcut: Vec<f32>,

@@ -164,7 +164,7 @@ pub fn describe_keypoints(points: &[Point], keypoints: &[Point], control: &Contr
     if !keypoints.is_empty() {
         check_points("keypoints", keypoints)?;
     }
-    let points = FinitePoints::of("points", points)?.points;
+    let points = FinitePoints::clean("points", points, None)?.points;
     let voxel_size = voxel_size(diameter(&points)?);
     let voxels = downsample(&points, voxel_size, control)?;
     let lengths = Lengths::from_spacing(voxel_size, voxel_size.max(voxels.resolution()));

@@ -18,7 +18,6 @@ use nalgebra::{IsometryMatrix3, Matrix6};
 
 use crate::cloud::patches::overlap;
 use crate::cloud::planes::{information, plane_pairs};
-use crate::cloud::spread::least_spread;
 use crate::cloud::surface::{Surface, fitness};
 use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict};
 use crate::steps::matches::{Match, inliers};
@@ -32,7 +31,7 @@ pub(crate) use scale::best_scale;
 use scale::better_scale;
 use slide::slide_margin;
 use snake_core::{Error, Result};
-use snake_geometry::RigidTransform;
+use snake_geometry::{RigidTransform, least_spread};
 use standing::{contradicted_at_one_place, standing_note};
 use together::{Together, moved_together};
 pub use tuning::{TUNING, Tuning};

@@ -7,7 +7,6 @@ use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use super::lengths::Lengths;
-use super::sentinels::without_sentinels;
 use super::viewpoint::{is_visible, viewpoint};
 use super::voxel_cloud::VoxelCloud;
 use super::{name_cloud, voxel_size};
@@ -143,15 +142,13 @@ impl<'a> UsedPoints<'a> {
         clouds: &[&'a [Point]],
         viewpoint: impl Fn(usize) -> Option<[f64; 3]> + Sync,
     ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
-        let finite = |(index, points)| FinitePoints::of("points", points).map_err(|error| (index, error.into()));
-        let finite: Vec<FinitePoints> =
-            clouds.iter().copied().enumerate().map(finite).collect::<std::result::Result<_, _>>()?;
-        let used = finite.into_par_iter().enumerate().map(|(index, finite)| {
-            let outliers = finite.outliers();
-            let (points, missing) = without_sentinels(finite.points, viewpoint(index).unwrap_or_default());
-            Self { num_skipped: clouds[index].len() - points.len(), points, outliers, missing }
-        });
-        Ok(used.collect())
+        let clean = |(index, points): (usize, &&'a [Point])| {
+            let sensor = Some(viewpoint(index).unwrap_or_default());
+            let used = FinitePoints::clean("points", points, sensor).map_err(|error| (index, error.into()))?;
+            let (outliers, missing) = (used.outliers(), used.missing().to_vec());
+            Ok(Self { num_skipped: points.len() - used.points.len(), points: used.points, outliers, missing })
+        };
+        clouds.par_iter().enumerate().map(clean).collect()
     }
 
     /// Twice the largest distance from the mean.

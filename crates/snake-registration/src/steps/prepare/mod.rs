@@ -3,7 +3,7 @@
 mod cloud;
 mod keypoints;
 mod lengths;
-mod sentinels;
+mod pyramid;
 mod viewpoint;
 mod voxel_cloud;
 
@@ -14,6 +14,7 @@ use rayon::prelude::*;
 pub use cloud::PreparedCloud;
 pub(crate) use cloud::diameter;
 pub use lengths::Lengths;
+pub(crate) use pyramid::{Given, Level, Pyramid};
 pub use voxel_cloud::VoxelCloud;
 
 use crate::cloud::voxels::downsample;
@@ -39,22 +40,6 @@ tuning! {
     /// from there.
     min_visible: f64 = 0.65, unit "share of the voxels",
         from "scans have 0.7 and more even if the sensor moved, whole objects about half (3738705)";
-    /// Missing returns are at least this many points of a cloud.
-    min_missing_points: usize = 50, unit "points", from "set by hand in b0e7886";
-    /// Missing returns are at least this share of a cloud.
-    min_missing_share: f64 = 0.01, unit "share of the points", from "set by hand in b0e7886";
-    /// Distances and depths that differ by less are equal. No surface is so exactly a sphere around
-    /// the sensor, and text files round.
-    missing_tolerance: f64 = 1e-4, unit "share of the distance", from "set by hand in b0e7886";
-    /// Points at one distance are missing returns if their smallest spread is above this: they
-    /// surround the sensor, where a beam on a level floor draws a circle.
-    min_missing_spread: f64 = 1e-3, unit "share of the distance", from "set by hand in b0e7886";
-    /// A plane of missing returns is farther than this from the sensor.
-    min_missing_depth: f64 = 1.5, unit "distances of the farthest other point", from "set by hand in b0e7886";
-    /// A cloud of which less would be left keeps its points: a ball around the origin is a ball.
-    min_left: f64 = 0.05, unit "share of the points", from "set by hand in b0e7886";
-    /// Number of kinds of missing returns in one cloud, at most.
-    max_missing_kinds: usize = 4, unit "kinds", from "set by hand in b0e7886";
 }
 
 /// The default voxel size of a cloud of this diameter.
@@ -86,35 +71,32 @@ pub fn prepare(
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<PreparedClouds> {
-    prepare_named(clouds, &[], viewpoints, model, options, control)
+    prepare_given(
+        &Given { points: clouds.to_vec(), names: &[], viewpoints: viewpoints.to_vec(), model, options },
+        control,
+    )
 }
 
-/// [`prepare`], whose errors name a cloud by `names`, or by its index where it has none.
-pub(crate) fn prepare_named(
-    clouds: &[&[Point]],
-    names: &[&'static str],
-    viewpoints: &[Option<[f64; 3]>],
-    model: Option<&Model>,
-    options: &RegisterOptions,
-    control: &Control,
-) -> Result<PreparedClouds> {
-    let model = options.model_to_run(model)?;
-    let viewpoint = |index: usize| viewpoints.get(index).copied().flatten();
+/// [`prepare`] of clouds as they are given.
+fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
+    let Given { points: clouds, names, options, .. } = given;
+    let model = options.model_to_run(given.model)?;
     let named = |index: usize| move |error| name_cloud(error, index, names);
-    let used = UsedPoints::new_all(clouds, viewpoint).map_err(|(index, error)| named(index)(error))?;
+    let used = UsedPoints::new_all(clouds, |index| given.viewpoint(index));
+    let used = used.map_err(|(index, error)| named(index)(error))?;
     let points: Vec<Cow<[Point]>> = used.iter().map(|used| Cow::Borrowed(&used.points[..])).collect();
-    let given = GivenLengths::new(options, &points)?;
+    let lengths = GivenLengths::new(options, &points)?;
     let each = || used.par_iter().enumerate();
     let diameters = each().map(|(index, used)| used.diameter().map_err(named(index)));
     let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
-    let (voxels, lengths) = given.downsample(&diameters, |voxel_size| {
+    let (voxels, lengths) = lengths.downsample(&diameters, |voxel_size| {
         each().map(|(index, used)| downsample(&used.points, voxel_size, control).map_err(named(index))).collect()
     })?;
     let prepare = |(index, (used, voxels)): (usize, (&UsedPoints, Neighbors))| {
         // The clouds get different random keypoints. With one seed, equal clouds would have a
         // partner for every keypoint.
         let options = options.with_seed(options.seed.wrapping_add(index as u64));
-        used.prepare(voxels, diameters[index], viewpoint(index), &lengths, model, &options, control)
+        used.prepare(voxels, diameters[index], given.viewpoint(index), &lengths, model, &options, control)
             .map_err(named(index))
     };
     let clouds = used.par_iter().zip(voxels).enumerate().map(prepare).collect::<Result<_>>()?;

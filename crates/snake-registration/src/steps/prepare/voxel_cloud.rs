@@ -45,7 +45,7 @@ impl VoxelCloud {
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn new(points: &[Point], lengths: &Lengths, control: &Control) -> Result<Self> {
         lengths.check()?;
-        let points = FinitePoints::of("points", points)?.points;
+        let points = FinitePoints::clean("points", points, None)?.points;
         let voxels = downsample(&points, lengths.voxel_size, control)?;
         Self::from_voxels(&points, voxels, lengths, Orientation::Mean, control)
     }
@@ -83,7 +83,8 @@ impl VoxelCloud {
         let recommended = *model.recommended();
         let encode = recommended.encode.with_normalization(NORMALIZATION).with_rotations(1);
         // FPFH describes the surface, so keypoints are moved onto it.
-        let detect = recommended.detect.with_saliency_threshold(0.0).with_mode_radius(None).with_snap(true);
+        let detect = recommended.detect.with_saliency_threshold(0.0).with_mode_radius(None).with_min_confidence(None);
+        let detect = detect.with_snap(true);
         recommended.with_encode(encode).with_detect(detect.with_nms_radius(Some(Length::Units(voxel_size))))
     }
 

@@ -46,7 +46,7 @@ def triangles(patches):
 
 
 def draw_on(corners, number, rng):
-    """Random places on triangles (T, 3, 3), uniform by area: the triangle (number,) of each and weights (number, 3) of its corners."""
+    """Random points on triangles (T, 3, 3), uniform by area: the triangle (number,) of each and weights (number, 3) of its corners."""
     edges = corners[:, 1:] - corners[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     chosen = rng.choice(len(corners), number, p=area / area.sum())

@@ -1,0 +1,229 @@
+//! Missing returns that a sensor writes as points: all at one place, at one distance or at one depth.
+
+use std::collections::HashMap;
+
+use crate::{Point, Vector, least_spread, vector};
+
+/// Missing returns are at least this many points of a cloud, and this share.
+const MIN_POINTS: usize = 50;
+const MIN_SHARE: f64 = 0.01;
+/// Distances and depths that differ by a smaller share are equal. No surface is so exactly a sphere around the sensor, and text
+/// files round.
+const TOLERANCE: f64 = 1e-4;
+/// Points at one distance are missing returns if their smallest spread is above this share of it: they surround the sensor,
+/// where a beam on a level floor draws a circle.
+const MIN_SPREAD: f64 = 1e-3;
+/// A plane of missing returns is farther from the sensor than this many distances of the farthest other point.
+const MIN_DEPTH: f64 = 1.5;
+/// A cloud of which a smaller share would be left keeps its points: a ball around the origin is a ball.
+const MIN_LEFT: f64 = 0.05;
+/// A place is that of missing returns if so many copies of it are there for each copy of another point; the second, if the sensor
+/// is not known: the vertices of a mesh are repeated, too.
+const MIN_COPIES: f64 = 5.0;
+const MAX_OTHER_COPIES: f64 = 1.5;
+/// Number of kinds of missing returns in one cloud, at most.
+pub(super) const MAX_KINDS: usize = 4;
+/// Number of counters for distances. They fit on the stack.
+const COUNTERS: usize = 8192;
+
+/// Which of the finite points are missing returns of a sensor, and where, in words. At the origin, if the sensor is not known;
+/// points at one distance then have to be the farthest, since a ball on a stand may be about the origin.
+pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Option<(Vec<bool>, String)> {
+    let min_count = MIN_POINTS.max((MIN_SHARE * points.len() as f64) as usize);
+    if points.len() < min_count {
+        return None;
+    }
+    let (is_missing, place) =
+        one_place_or_distance(points, sensor, min_count).or_else(|| one_depth(points, sensor.is_some(), min_count))?;
+    let count = is_missing.iter().filter(|missing| **missing).count();
+    if ((points.len() - count) as f64) < MIN_LEFT * points.len() as f64 {
+        return None;
+    }
+    let share = 100.0 * count as f64 / points.len() as f64;
+    let words =
+        format!("{count} of {} points ({share:.0} %) are {place}, as missing returns are written", points.len());
+    Some((is_missing, words))
+}
+
+/// Points at one place are at one distance, too.
+fn one_place_or_distance(points: &[Point], sensor: Option<[f64; 3]>, min_count: usize) -> Option<(Vec<bool>, String)> {
+    let center: Vector = sensor.unwrap_or_default().into();
+    let distance = |point: &Point| (vector(*point) - center).norm();
+    if !may_be_frequent(points.iter().map(distance), min_count) {
+        return None;
+    }
+    let distances: Vec<f64> = points.iter().map(distance).collect();
+    let frequent = frequent(&distances, min_count);
+    if frequent.is_empty() {
+        return None;
+    }
+    let is_known = sensor.is_some();
+    one_place(points, is_known, min_count).or_else(|| one_distance(points, is_known, &distances, &frequent))
+}
+
+/// Whether so many of the distances may be equal. This takes a tenth of the time of [`frequent`] and no memory.
+fn may_be_frequent(distances: impl Iterator<Item = f64>, min_count: usize) -> bool {
+    let mut counts = [0_u32; COUNTERS];
+    // The upper 24 bits, with 12 of the mantissa: what is equal has one number or two consecutive ones.
+    distances.for_each(|distance| counts[(distance.to_bits() >> 40) as usize % COUNTERS] += 1);
+    (0..COUNTERS).any(|at| (counts[at] + counts[(at + 1) % COUNTERS]) as usize >= min_count)
+}
+
+/// Copies of one point, where points are not repeated otherwise.
+fn one_place(points: &[Point], is_known: bool, min_count: usize) -> Option<(Vec<bool>, String)> {
+    let key = |point: &Point| point.map(|v| (v + 0.0).to_bits());
+    let mut counts: HashMap<[u32; 3], usize> = HashMap::new();
+    points.iter().for_each(|point| *counts.entry(key(point)).or_default() += 1);
+    let (place, count) = counts.iter().max_by_key(|(place, count)| (**count, **place))?;
+    let mean = points.len() as f64 / counts.len() as f64;
+    let others = (points.len() - count) as f64 / (counts.len() - 1).max(1) as f64;
+    if *count < min_count || (*count as f64) < MIN_COPIES * mean || !is_known && others > MAX_OTHER_COPIES {
+        return None;
+    }
+    let [x, y, z] = place.map(f32::from_bits);
+    Some((points.iter().map(|point| key(point) == *place).collect(), format!("at ({x}, {y}, {z})")))
+}
+
+/// Points at exactly one of the frequent distances from the sensor that face all ways.
+fn one_distance(points: &[Point], is_known: bool, distances: &[f64], frequent: &[f64]) -> Option<(Vec<bool>, String)> {
+    let farthest = distances.iter().copied().fold(0.0, f64::max);
+    let can_be = |distance: &&f64| is_known || **distance >= (1.0 - TOLERANCE) * farthest;
+    frequent.iter().filter(can_be).find_map(|&distance| {
+        let is_missing: Vec<bool> = distances.iter().map(|v| (v - distance).abs() <= TOLERANCE * distance).collect();
+        let shell: Vec<Vector> =
+            points.iter().zip(&is_missing).filter(|(_, missing)| **missing).map(|(p, _)| vector(*p)).collect();
+        let faces_all_ways = least_spread(&shell) > MIN_SPREAD * distance;
+        faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
+    })
+}
+
+/// Points at exactly one depth along an axis that are farther than all others: the least or the greatest. Copies of a vertex,
+/// such as the tip of a cone, are no plane.
+fn one_depth(points: &[Point], is_known: bool, min_count: usize) -> Option<(Vec<bool>, String)> {
+    let mut extremes = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
+    for point in points {
+        for (value, [low, high]) in point.iter().zip(&mut extremes) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+    }
+    let ends = (0..3).flat_map(|axis| extremes[axis].map(|depth| (axis, f64::from(depth))));
+    ends.into_iter().find_map(|(axis, depth)| {
+        let is_at = |point: &Point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs();
+        let at_depth = || points.iter().filter(|point| is_at(point));
+        let first = at_depth().next();
+        if at_depth().count() < min_count || !is_known && at_depth().all(|point| Some(point) == first) {
+            return None;
+        }
+        let others = points.iter().filter(|point| !is_at(point));
+        let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
+        let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
+        (depth.abs() > MIN_DEPTH * farthest).then(|| (points.iter().map(is_at).collect(), place))
+    })
+}
+
+/// The values that so many others equal within the tolerance.
+fn frequent(values: &[f64], min_count: usize) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let mut groups = Vec::new();
+    let (mut first, mut end) = (0, 0);
+    while first < sorted.len() {
+        end = end.max(first + 1);
+        while end < sorted.len() && sorted[end] - sorted[first] <= TOLERANCE * sorted[first].abs() {
+            end += 1;
+        }
+        if end - first >= min_count {
+            groups.push(sorted[(first + end) / 2]);
+            first = end;
+        } else {
+            first += 1;
+        }
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FinitePoints;
+
+    /// Points of two walls as a sensor at the origin sees them, some of which are at `distance`
+    /// instead.
+    fn scan(missing: impl Fn(Vector) -> Vector) -> (Vec<Point>, usize) {
+        let mut count = 0;
+        let points = (0..4000).map(|i| {
+            let (azimuth, elevation) = (f64::from(i % 80) / 50.0 - 0.8, f64::from(i / 80) / 50.0 - 0.5);
+            let ray = Vector::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+            let is_missing = (0.2..0.6).contains(&azimuth) && elevation > 0.0;
+            count += usize::from(is_missing);
+            let surface = ray * (3.0 / ray.x).min(2.0 / ray.y.abs());
+            (if is_missing { missing(ray) } else { surface }).map(|v| v as f32).into()
+        });
+        let points: Vec<Point> = points.collect();
+        (points, count)
+    }
+
+    /// The points that are kept, and what is said of the others.
+    fn cleaned(points: &[Point], sensor: Option<[f64; 3]>) -> (usize, Vec<String>) {
+        let used = FinitePoints::clean("points", points, sensor).unwrap();
+        (used.points.len(), used.findings())
+    }
+
+    #[test]
+    fn missing_returns_are_left_out_and_named() {
+        for sensor in [Some([0.0; 3]), None] {
+            for distance in [0.0, 20.0, 30.0, 65.535, 1e4] {
+                let at_one_range = scan(|ray| distance * ray);
+                let at_one_depth = scan(|ray| distance * ray / ray.x);
+                for (points, count) in [at_one_range, at_one_depth] {
+                    let (kept, words) = cleaned(&points, sensor);
+                    assert_eq!((kept, words.len()), (4000 - count, 1), "{distance}: {words:?}");
+                    assert!(words[0].contains(&format!("{count} of 4000 points")), "{words:?}");
+                }
+            }
+            let (points, _) = scan(|ray| ray * (3.0 / ray.x).min(2.0 / ray.y.abs()));
+            assert_eq!(cleaned(&points, sensor).0, 4000);
+        }
+    }
+
+    #[test]
+    fn only_a_known_sensor_has_a_ball_or_repeated_vertices_for_missing_returns() {
+        let ball: Vec<Point> =
+            ball(400).into_iter().chain((0..600).map(|i| [0.0, 0.0, -1.1 - i as f32 * 1e-3])).collect();
+        assert_eq!([None, Some([0.0; 3])].map(|sensor| cleaned(&ball, sensor).0), [1000, 600]);
+        // A cone of triangles: each writes its corners.
+        let rim = |i: usize| [(i as f32 * 0.05).cos(), (i as f32 * 0.05).sin(), 0.0];
+        let cone: Vec<Point> = (0..120).flat_map(|i| [[0.0, 0.0, 2.0], rim(i), rim(i + 1)]).collect();
+        assert_eq!(cleaned(&cone, None).0, 360);
+    }
+
+    fn ball(count: usize) -> Vec<Point> {
+        let point = |i: usize| {
+            let (z, angle) = (1.0 - (2 * i + 1) as f32 / count as f32, i as f32 * 2.399_963);
+            let ring = (1.0 - z * z).sqrt();
+            [ring * angle.cos(), ring * angle.sin(), z]
+        };
+        (0..count).map(point).collect()
+    }
+
+    #[test]
+    fn distances_that_overflow_are_no_frequent_ones_and_end() {
+        assert_eq!(frequent(&[1.0, f64::INFINITY, f64::INFINITY, f64::NAN], 2), Vec::<f64>::new());
+        assert_eq!(frequent(&[2.0, 1.0, 2.0, 3.0], 2), [2.0]);
+        assert_eq!(frequent(&[], 1), Vec::<f64>::new());
+    }
+
+    #[test]
+    fn balls_floors_and_repeated_clouds_keep_their_points() {
+        let rings: Vec<Point> = (0..3000)
+            .map(|i| {
+                let (radius, angle) = ((2 + i / 300) as f32, (i % 300) as f32 / 47.0);
+                [radius * angle.cos(), radius * angle.sin(), -1.5]
+            })
+            .collect();
+        let repeated: Vec<Point> = (0..5000).map(|i| [(i % 50) as f32, (i % 7) as f32, (i % 3) as f32]).collect();
+        for points in [ball(2000), rings, repeated, vec![[1.0; 3]; 99]] {
+            assert_eq!([None, Some([0.0; 3])].map(|sensor| cleaned(&points, sensor).0), [points.len(); 2]);
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! A source of unknown scale: registration at several factors.
+
+use super::tries::{Effort, Keep, Search, keep, less_confident};
+use crate::options::PairOptions;
+use crate::result::Registration;
+use crate::steps::judge::best_scale;
+use crate::steps::prepare::Given;
+use crate::tuning::tuning;
+use snake_core::{Control, Error, Result};
+use snake_geometry::Point;
+
+tuning! {
+    /// Ratio of two factors that are tried one after the other.
+    ratio: f64 = 1.12, unit "ratio", from "sources 5 percent off are registered";
+    /// Number of factors to either side of 1.
+    factors: i32 = 14, unit "factors", from "1.12 to the 14th is 4.9";
+    /// Number of times that the factor is made exact.
+    rounds: usize = 2, unit "rounds", from "set by hand";
+}
+
+/// The registration at the scale at which it is most confident. Factors near 1 are tried first,
+/// until one is reliable.
+///
+/// # Errors
+/// The errors of [`register_with`](crate::register_with).
+pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
+    let mut best: Option<Registration> = None;
+    for power in (0..=TUNING.factors).flat_map(|power| [power, -power]).skip(1) {
+        let outcome = at_scale(given, pair_options, TUNING.ratio.powi(power), control).map(less_confident);
+        keep(&mut best, outcome, Keep::MoreConfident)?;
+        if best.as_ref().is_some_and(|best| best.verdict.is_reliable) {
+            break;
+        }
+    }
+    best.ok_or_else(|| Error::NoTransform { reason: "no three correspondences fit at any scale from 0.2 to 5".into() })
+}
+
+/// The registration at a factor that is made exact on the clouds.
+fn at_scale(given: &Given, pair_options: &PairOptions, factor: f64, control: &Control) -> Result<Registration> {
+    let mut scale = factor;
+    let mut best: Option<Registration> = None;
+    for _ in 0..=TUNING.rounds {
+        let source: Vec<Point> =
+            given.points[0].iter().map(|point| point.map(|v| (scale * f64::from(v)) as f32)).collect();
+        let viewpoints = vec![given.viewpoint(0).map(|at| at.map(|v| scale * v)), given.viewpoint(1)];
+        let level = Given { points: vec![&source, given.points[1]], viewpoints, ..*given }.prepare(control)?;
+        let pair = level.clouds.pair(given.options.gravity);
+        let one = match Search::new(&pair, given.options, pair_options, Effort::Usual, control).register() {
+            Ok(one) => Registration { scale, ..one },
+            // Without a transform at the exact factor, that at the rough one stays.
+            Err(Error::NoTransform { .. }) if best.is_some() => break,
+            Err(error) => return Err(error),
+        };
+        let change = best_scale(pair.surfaces(), one.t_target_source.isometry()).unwrap_or(1.0);
+        // The exact factor counts unless it is doubtful.
+        let how = if one.verdict.is_reliable { Keep::Always } else { Keep::MoreConfident };
+        keep(&mut best, Ok(one), how)?;
+        if (change - 1.0).abs() < 1e-3 || !(1.0 / TUNING.ratio..TUNING.ratio).contains(&change) {
+            break;
+        }
+        scale *= change;
+    }
+    best.ok_or_else(|| Error::NoTransform { reason: format!("nothing fits at the scale {factor:.3}") })
+}

@@ -1,0 +1,284 @@
+//! Every way in which the transform of a pair is searched for, as one table.
+
+use super::instances::register_instances;
+use crate::options::{PairOptions, RegisterOptions};
+use crate::result::Registration;
+use crate::steps::prepare::{Given, Level};
+use crate::steps::refine::refine_supported;
+use crate::steps::single_matches::Voters;
+use crate::steps::{self, Match, Pair, approach, challenge, consensus, describe, judge, match_rows, refine};
+use crate::tuning::tuning;
+use snake_core::{Control, Error, Result};
+use snake_geometry::RigidTransform;
+
+tuning! {
+    /// Number of matches beside those of the usual search, for transforms of single matches.
+    matches: f64 = 2.5, unit "ratio",
+        from "with 1, two of 35 validation pairs fewer are right";
+    /// Number of transforms of single matches that are compared on the clouds, at most.
+    candidates: usize = 40, unit "transforms", from "100 find no more on validation pairs";
+    /// Number of transforms that are refined on all voxels.
+    refined: usize = 12, unit "transforms", from "60 find no more on validation pairs";
+}
+
+/// One try: a row of [`TRIES`].
+struct Try {
+    /// Whether it can change what was found so far, which is not reliable.
+    applies: fn(&Search, &Tried) -> bool,
+    /// How it prepares the clouds and guesses transforms.
+    run: fn(&Search, &mut Tried) -> Result<Registration>,
+    /// What it costs in confidence.
+    cost: fn(&Search, Registration) -> Result<Registration>,
+    keep: Keep,
+}
+
+/// Which result takes the place of the one so far. If there is none, any does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Keep {
+    Always,
+    MoreConfident,
+    Reliable,
+}
+
+/// The tries in their order, until one is reliable.
+const TRIES: [Try; 4] = [
+    // Transforms on which matches agree.
+    Try {
+        applies: |_, _| true,
+        run: |search, tried| search.by_matches(search.pair, tried),
+        cost: |_, registration| Ok(registration),
+        keep: Keep::Always,
+    },
+    // Those of single matches too.
+    Try {
+        applies: |search, tried| search.has_single_matches(tried) && !tried.repeats(),
+        run: |search, tried| search.by_single_matches(tried),
+        cost: |search, registration| search.unconfirmed(registration),
+        // It has compared the transforms of the first try, too.
+        keep: Keep::Always,
+    },
+    // Without signs of normals. Without viewpoints, the clouds would have had none.
+    Try {
+        applies: |search, tried| tried.is_signed() && search.pair.has_doubtful_signs(),
+        run: |search, tried| search.by_matches(&search.pair.without_signs(), tried),
+        cost: |_, registration| Ok(registration),
+        keep: Keep::MoreConfident,
+    },
+    // On finer voxels. What repeats itself does so at any size of voxels.
+    Try {
+        applies: |search, tried| search.given.is_some() && !tried.repeats(),
+        run: |search, tried| search.on_finer_voxels(tried),
+        cost: |_, registration| Ok(less_confident(registration)),
+        keep: Keep::Reliable,
+    },
+];
+
+/// How much is tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Effort {
+    /// The transforms on which matches agree.
+    Usual,
+    /// Those of single matches too, if the first result is not reliable.
+    Thorough,
+}
+
+/// A pair with what is known of it.
+pub(crate) struct Search<'a, 'p> {
+    pub(crate) pair: &'a Pair<'p>,
+    pub(crate) options: &'a RegisterOptions,
+    pub(crate) pair_options: &'a PairOptions,
+    /// Transforms beside those that are searched for.
+    pub(crate) guesses: &'a [RigidTransform],
+    pub(crate) effort: Effort,
+    /// The clouds as they were given, if they may be prepared again.
+    pub(crate) given: Option<(&'a Given<'a>, &'a Level)>,
+    pub(crate) control: &'a Control,
+}
+
+/// What the tries so far found.
+#[derive(Default)]
+struct Tried {
+    best: Option<Registration>,
+    matched: Option<Matched>,
+}
+
+/// The matches of a pair, and the transforms that they and the options gave.
+struct Matched {
+    is_signed: bool,
+    indices: Vec<[usize; 2]>,
+    matches: Vec<Match>,
+    guesses: Vec<RigidTransform>,
+}
+
+impl Tried {
+    fn is_signed(&self) -> bool {
+        self.matched.as_ref().is_some_and(|matched| matched.is_signed)
+    }
+
+    /// Whether the target repeats itself, so that another try would not change the verdict.
+    fn repeats(&self) -> bool {
+        self.best.as_ref().is_some_and(|best| best.verdict.repeat_fit > judge::TUNING.repeated)
+    }
+}
+
+impl<'a, 'p> Search<'a, 'p> {
+    /// A pair of which nothing else is known, and that is not prepared again.
+    pub(crate) fn new(
+        pair: &'a Pair<'p>,
+        options: &'a RegisterOptions,
+        pair_options: &'a PairOptions,
+        effort: Effort,
+        control: &'a Control,
+    ) -> Self {
+        Self { pair, options, pair_options, guesses: &[], effort, given: None, control }
+    }
+
+    /// The registration by the tries that apply, or by point pairs of several instances.
+    ///
+    /// # Errors
+    /// The errors of [`register_with`](crate::register_with).
+    pub(crate) fn register(&self) -> Result<Registration> {
+        if self.pair_options.instances > 1 {
+            return register_instances(self.pair, self.pair_options, self.control);
+        }
+        let mut registration = self.run()?;
+        registration.hypotheses.truncate(self.pair_options.hypotheses);
+        note_rounding(&mut registration, self.pair_options);
+        Ok(registration)
+    }
+
+    fn run(&self) -> Result<Registration> {
+        let (mut tried, mut missing) = (Tried::default(), None);
+        for one in &TRIES {
+            if tried.best.as_ref().is_some_and(|best| best.verdict.is_reliable) {
+                break;
+            }
+            if (one.applies)(self, &tried) {
+                let outcome = (one.run)(self, &mut tried).and_then(|registration| (one.cost)(self, registration));
+                missing = missing.or(keep(&mut tried.best, outcome, one.keep)?);
+            }
+        }
+        let reason = || Error::NoTransform { reason: "nothing was tried".into() };
+        tried.best.ok_or_else(|| missing.unwrap_or_else(reason))
+    }
+
+    /// The six steps for a pair, without signs of normals where they prove wrong.
+    fn by_matches(&self, pair: &Pair, tried: &mut Tried) -> Result<Registration> {
+        let Self { options, pair_options, control, .. } = self;
+        let rows = describe(pair, control)?;
+        let num_matches = (TUNING.matches * options.max_matches as f64) as usize;
+        let indices = match_rows(&rows[0], &rows[1], num_matches, control)?;
+        let matches = pair.matches(&indices[..indices.len().min(options.max_matches)])?;
+        let mut guesses = match &pair_options.initial {
+            Some(guess) => vec![approach(pair, &guess.with_exact_rotation(), options.icp_steps, control)?],
+            None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
+        };
+        guesses.extend_from_slice(self.guesses);
+        let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
+        if candidates.first().is_some_and(|best| pair.contradicts_viewpoints(&best.t_target_source)) {
+            return self.by_matches(&pair.without_signs(), tried);
+        }
+        let mut registration = judge(pair, &matches, &candidates)?;
+        if pair_options.initial.is_none() {
+            challenge(pair, &matches, &mut registration)?;
+        }
+        tried.matched = Some(Matched { is_signed: pair.is_signed(), indices, matches, guesses });
+        Ok(registration)
+    }
+
+    /// Whether transforms of single matches are searched for: they need signs, and without ICP the
+    /// angle of a single match is too rough.
+    fn has_single_matches(&self, tried: &Tried) -> bool {
+        let is_possible = self.options.icp_steps > 0 && self.pair_options.initial.is_none();
+        self.effort == Effort::Thorough && is_possible && tried.is_signed()
+    }
+
+    /// The best of the transforms so far and of those of single matches, by the support of the single
+    /// matches too.
+    fn by_single_matches(&self, tried: &mut Tried) -> Result<Registration> {
+        let Some(Matched { indices, matches, guesses, .. }) = &tried.matched else {
+            return Err(Error::NoTransform { reason: "no matches".into() });
+        };
+        let (pair, control) = (self.pair, self.control);
+        let voters = Voters::new(pair, indices, control)?;
+        let single = voters.transforms(TUNING.candidates).into_iter().map(RigidTransform::from);
+        let guesses: Vec<RigidTransform> = guesses.iter().copied().chain(single).collect();
+        let count = TUNING.refined.max(self.pair_options.hypotheses);
+        let candidates = refine_supported(pair, matches, &voters, &guesses, self.options.icp_steps, count, control)?;
+        let mut registration = judge(pair, matches, &candidates)?;
+        challenge(pair, matches, &mut registration)?;
+        Ok(registration)
+    }
+
+    /// The confidence of a transform of a single match. On voxels much coarser than the clouds, what
+    /// fits best may be off: the try on finer voxels has to confirm it.
+    fn unconfirmed(&self, registration: Registration) -> Result<Registration> {
+        let mut registration = less_confident(registration);
+        let [source, target] = self.pair.fine()?;
+        if source.is_finer && target.is_finer {
+            let verdict = &mut registration.verdict;
+            verdict.confidence = verdict.confidence.min(judge::TUNING.max_doubtful);
+            verdict.is_reliable = false;
+        }
+        Ok(registration)
+    }
+
+    /// The tries of matches on voxels of a third of the side, with the result so far among the guesses.
+    fn on_finer_voxels(&self, tried: &mut Tried) -> Result<Registration> {
+        let none = || Error::NoTransform { reason: "the clouds are not finer than their voxels".into() };
+        let (given, level) = self.given.ok_or_else(none)?;
+        let level = level.finer(given, |_| true, self.control)?.ok_or_else(none)?;
+        let pair = level.clouds.pair(self.options.gravity);
+        let guesses: Vec<RigidTransform> = tried.best.iter().map(|best| best.t_target_source).collect();
+        let finer = Search { pair: &pair, guesses: &guesses, effort: Effort::Usual, given: None, ..*self };
+        match finer.run() {
+            Err(error) if !matches!(error, Error::Cancelled | Error::DeadlineExceeded) => Err(none()),
+            outcome => outcome,
+        }
+    }
+}
+
+/// Keeps a result in the place of the best so far, of equals the first. Returns the error of a try
+/// without a transform.
+///
+/// # Errors
+/// All other errors.
+pub(super) fn keep(
+    best: &mut Option<Registration>,
+    outcome: Result<Registration>,
+    keep: Keep,
+) -> Result<Option<Error>> {
+    let new = match outcome {
+        Ok(new) => new,
+        Err(error @ Error::NoTransform { .. }) => return Ok(Some(error)),
+        Err(error) => return Err(error),
+    };
+    let is_kept = best.as_ref().is_none_or(|best| match keep {
+        Keep::Always => true,
+        Keep::MoreConfident => new.verdict.confidence > best.verdict.confidence,
+        Keep::Reliable => new.verdict.is_reliable,
+    });
+    if is_kept {
+        *best = Some(new);
+    }
+    Ok(None)
+}
+
+/// The result of a further try, with a lower confidence: of two wrong results, one looks right by
+/// chance twice as often.
+pub(crate) fn less_confident(mut registration: Registration) -> Registration {
+    let verdict = &mut registration.verdict;
+    verdict.confidence /= 2.0 - verdict.confidence;
+    verdict.is_reliable = verdict.confidence >= judge::TUNING.reliable;
+    registration
+}
+
+/// A guess whose rotation is off by more has too few digits, about which a note is due.
+const ROUNDED: f64 = 1e-6;
+
+/// Notes that the guess was not quite a rotation.
+fn note_rounding(registration: &mut Registration, pair_options: &PairOptions) {
+    if pair_options.initial.is_some_and(|guess| guess.rotation_error() > ROUNDED) {
+        registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
+    }
+}

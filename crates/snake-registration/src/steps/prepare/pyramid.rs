@@ -1,0 +1,172 @@
+//! Clouds with voxels of several sizes.
+
+use std::collections::BTreeMap;
+
+use super::{PreparedCloud, PreparedClouds, prepare_given};
+use crate::options::RegisterOptions;
+use crate::tuning::tuning;
+use snake_core::{Control, Error, Model, Result};
+use snake_geometry::{Length, Point};
+
+tuning! {
+    /// Voxels beside the finer ones of a further try.
+    finer: f64 = 3.0, unit "ratio of sides",
+        from "of 24 pairs of made sweeps 13 and 17 m apart 11 are reliable, 5 without (`sweeps` in tests/verdict.rs)";
+    /// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share
+    /// a scale.
+    scale_ratio: f64 = 4.0, unit "ratio of lengths", from "set by hand in b0e7886";
+}
+
+/// Clouds `(N, 3)` as they are given, and how they are prepared.
+pub(crate) struct Given<'a> {
+    pub(crate) points: Vec<&'a [Point]>,
+    /// The names of the clouds in errors; their indices without.
+    pub(crate) names: &'static [&'static str],
+    /// The position of each sensor in the frame of its cloud, where it is known.
+    pub(crate) viewpoints: Vec<Option<[f64; 3]>>,
+    pub(crate) model: Option<&'a Model>,
+    pub(crate) options: &'a RegisterOptions,
+}
+
+impl Given<'_> {
+    pub(crate) fn viewpoint(&self, cloud: usize) -> Option<[f64; 3]> {
+        self.viewpoints.get(cloud).copied().flatten()
+    }
+
+    /// All clouds with the voxels that the options ask for.
+    ///
+    /// # Errors
+    /// The errors of [`prepare`](super::prepare()).
+    pub(crate) fn prepare(&self, control: &Control) -> Result<Level> {
+        let members = (0..self.points.len()).collect();
+        Ok(Level { clouds: prepare_given(self, control)?, members })
+    }
+
+    /// Some clouds, ascending, with voxels of a side in cloud units.
+    fn prepare_at(&self, members: Vec<usize>, side: f64, control: &Control) -> Result<Level> {
+        let given = Given {
+            points: members.iter().map(|&cloud| self.points[cloud]).collect(),
+            viewpoints: members.iter().map(|&cloud| self.viewpoint(cloud)).collect(),
+            options: &self.options.with_voxel_size(Some(Length::Units(side))),
+            ..*self
+        };
+        Ok(Level { clouds: prepare_given(&given, control)?, members })
+    }
+}
+
+/// Clouds with voxels of one size.
+pub(crate) struct Level {
+    pub(crate) clouds: PreparedClouds,
+    /// Their indices among all clouds, ascending.
+    members: Vec<usize>,
+}
+
+impl Level {
+    pub(crate) fn cloud(&self, cloud: usize) -> Option<&PreparedCloud> {
+        self.members.binary_search(&cloud).ok().map(|place| &self.clouds.clouds[place])
+    }
+
+    /// The clouds among `candidates` that have much more points than voxels, on finer voxels, if there
+    /// are at least two; `None` if a length is given.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] and [`Error::DeadlineExceeded`]. Clouds that other errors keep from being
+    /// prepared have no finer voxels.
+    pub(crate) fn finer(
+        &self,
+        given: &Given,
+        candidates: impl Fn(usize) -> bool,
+        control: &Control,
+    ) -> Result<Option<Self>> {
+        let mut members = Vec::new();
+        for (&cloud, prepared) in self.members.iter().zip(&self.clouds.clouds) {
+            if candidates(cloud) && !given.options.has_lengths() && prepared.fine()?.is_finer {
+                members.push(cloud);
+            }
+        }
+        if members.len() < 2 {
+            return Ok(None);
+        }
+        match given.prepare_at(members, self.clouds.lengths.voxel_size / TUNING.finer, control) {
+            Err(error @ (Error::Cancelled | Error::DeadlineExceeded)) => Err(error),
+            level => Ok(level.ok()),
+        }
+    }
+}
+
+/// Clouds of different size: each set of them has the voxels that suit the smallest.
+pub(crate) struct Pyramid {
+    usual: Level,
+    /// The scale of each cloud, 0 for the usual one, as a power of `scale_ratio`.
+    scales: Vec<i32>,
+    /// The other scales: the clouds of this size and larger ones.
+    others: BTreeMap<i32, Level>,
+    /// By scale, the clouds with much more points than voxels, on finer voxels.
+    finer: BTreeMap<i32, Level>,
+}
+
+impl Pyramid {
+    /// All clouds with the usual voxels, and with those of larger and smaller scales that clouds have.
+    pub(crate) fn new(given: &Given, control: &Control) -> Result<Self> {
+        let usual = given.prepare(control)?;
+        let voxel_size = usual.clouds.lengths.voxel_size;
+        let scale = |cloud: &PreparedCloud| match given.options.voxel_size {
+            Some(_) => 0,
+            None => ((cloud.default_voxel_size() / voxel_size).ln() / TUNING.scale_ratio.ln()).round() as i32,
+        };
+        let scales: Vec<i32> = usual.clouds.clouds.iter().map(scale).collect();
+        let mut pyramid = Self { usual, scales, others: BTreeMap::new(), finer: BTreeMap::new() };
+        let mut distinct = pyramid.scales.clone();
+        distinct.sort_unstable();
+        distinct.dedup();
+        for &scale in distinct.iter().filter(|scale| **scale != 0) {
+            let members = (0..pyramid.len()).filter(|&cloud| pyramid.scales[cloud] >= scale).collect();
+            let level = given.prepare_at(members, voxel_size * TUNING.scale_ratio.powi(scale), control)?;
+            pyramid.others.insert(scale, level);
+        }
+        for scale in pyramid.others.keys().copied().chain([0]) {
+            let is_as_large = |cloud: usize| pyramid.scales[cloud] >= scale;
+            if let Some(level) = pyramid.level(scale).finer(given, is_as_large, control)? {
+                pyramid.finer.insert(scale, level);
+            }
+        }
+        Ok(pyramid)
+    }
+
+    /// All clouds with the usual voxels.
+    pub(crate) fn usual(&self) -> &[PreparedCloud] {
+        &self.usual.clouds.clouds
+    }
+
+    /// The scale at which clouds are compared: that of the smallest.
+    pub(crate) fn common(&self, clouds: &[usize]) -> i32 {
+        clouds.iter().map(|&cloud| self.scales[cloud]).min().unwrap_or(0)
+    }
+
+    /// A cloud with the voxels of its own size or a smaller one.
+    pub(crate) fn cloud(&self, cloud: usize, scale: i32) -> &PreparedCloud {
+        self.level(scale).cloud(cloud).unwrap_or(&self.usual()[cloud])
+    }
+
+    /// A cloud with much more points than voxels, on finer voxels.
+    pub(crate) fn finer(&self, cloud: usize, scale: i32) -> Option<&PreparedCloud> {
+        self.finer.get(&scale)?.cloud(cloud)
+    }
+
+    /// A cloud with the voxels of its own size.
+    pub(crate) fn own(&self, cloud: usize) -> &PreparedCloud {
+        self.cloud(cloud, self.scales[cloud])
+    }
+
+    pub(crate) fn inlier_distance(&self, scale: i32) -> f64 {
+        self.level(scale).clouds.lengths.inlier_distance
+    }
+
+    fn level(&self, scale: i32) -> &Level {
+        self.others.get(&scale).unwrap_or(&self.usual)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.scales.len()
+    }
+}
