@@ -1,9 +1,10 @@
 """How often a verdict is wrong, by kind of pair: the confusion of right and reliable, for one program or several side by side.
 
-    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs "verdict: ball"] [--scenes FOLDER]
+    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs "verdict: ball"]
 
-Kinds are those of alike_pairs.py, and with "verdict: " before them those of verdict_pairs.py; `--scenes` adds the pairs of a folder with `pairs.json`, by their overlap. Several programs
-take turns pair by pair, so that their processor times can be compared.
+Kinds are those of alike_pairs.py, and with "verdict: " before them those of verdict_pairs.py. `--scenes FOLDER` adds the pairs
+of a folder with `pairs.json`, by their overlap. Several programs take turns pair by pair, so that their processor times can be
+compared.
 """
 
 import argparse
