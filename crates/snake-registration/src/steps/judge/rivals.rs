@@ -92,7 +92,10 @@ impl Rival {
     pub(super) fn is_equal(&self) -> bool {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
-            Motion::Alike => return self.counts.contradicted_of_telling() <= TUNING.self_contradicted,
+            Motion::Alike => {
+                let limit = TUNING.self_contradicted[usize::from(self.is_standing)];
+                return self.counts.contradicted_of_telling() <= limit;
+            }
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
             Motion::Turn(_) => (lead, contradicted),
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
@@ -198,8 +201,11 @@ impl<'a, 'b> Fitting<'a, 'b> {
     /// will do.
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
-        let [min_support, least] =
-            if self.is_standing { [0.0, TUNING.min_shift] } else { [TUNING.min_self_support, TUNING.elsewhere] };
+        let [min_support, least] = match (self.is_standing, self.pair.is_signed()) {
+            (true, _) => [0.0, TUNING.min_shift],
+            (false, true) => [TUNING.min_self_support, TUNING.elsewhere],
+            (false, false) => [TUNING.min_self_support, TUNING.min_unsigned_motion],
+        };
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
             let supported = motions.iter().filter(|(_, support)| *support >= min_support);
@@ -226,7 +232,9 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let min_fit = match motion {
-            Motion::Alike => TUNING.self_fit[usize::from(self.is_standing)],
+            Motion::Alike if self.is_standing || self.pair.is_signed() => {
+                TUNING.self_fit[usize::from(self.is_standing)]
+            }
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
