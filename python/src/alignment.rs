@@ -73,7 +73,7 @@ impl Alignment {
         Self { poses, parts, covariances, edges, contradictions, notes, num_pairs, num_skipped, seconds }
     }
 
-    /// What a pickle holds: all attributes.
+    /// The content of a pickle: all attributes.
     fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
         let names = [
             "poses",
@@ -116,7 +116,7 @@ impl AlignmentEdge {
         Self { source, target, t_target_source, confidence, belief, residual, information }
     }
 
-    /// What a pickle holds: all attributes.
+    /// The content of a pickle: all attributes.
     fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
         let names = ["source", "target", "t_target_source", "confidence", "belief", "residual", "information"];
         attributes(this, names)

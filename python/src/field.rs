@@ -60,7 +60,7 @@ impl Field {
         })
     }
 
-    /// What was left out of the cloud, each in a sentence.
+    /// The parts of the cloud that were left out, each in a sentence.
     pub fn findings(&self) -> Vec<String> {
         self.core.findings()
     }

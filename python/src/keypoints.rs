@@ -37,7 +37,7 @@ impl Keypoint {
         Self { position, saliency, occupancy, nearest_index, confidence }
     }
 
-    /// What a pickle holds: the arguments of a new keypoint.
+    /// The content of a pickle: the arguments of a new keypoint.
     fn __getnewargs__(&self, py: Python<'_>) -> (Py<PyAny>, f32, f32, i64, Option<f32>) {
         (self.position.clone_ref(py), self.saliency, self.occupancy, self.nearest_index, self.confidence)
     }
@@ -86,7 +86,7 @@ pub struct Keypoints {
     /// The size of a voxel of its volume, in cloud units; None for keypoints from a file.
     #[pyo3(get)]
     voxel_size: Option<f64>,
-    /// What to know about them, a list of sentences: of the choice of the model, the cloud's scale, outliers, and keypoints that
+    /// Notes on them, a list of sentences: on the choice of the model, the cloud's scale, outliers, and keypoints that
     /// cluster.
     #[pyo3(get)]
     notes: Vec<String>,

@@ -56,7 +56,7 @@ fn automatic() -> &'static core::Chooser {
     CHOOSER.get_or_init(core::Chooser::default)
 }
 
-/// What chooses model and options of each cloud of a call, for given values of options.
+/// The chooser of model and options for each cloud of a call, for given values of options.
 pub fn chooser(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,

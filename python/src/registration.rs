@@ -23,7 +23,7 @@ pub struct Verdict {
     is_reliable: bool,
     /// Whether the clouds leave more than one answer; `notes` say why. An ambiguous transform is not reliable.
     is_ambiguous: bool,
-    /// What may be wrong with the clouds or the transform.
+    /// Doubts about the clouds or the transform, in sentences.
     notes: Vec<String>,
     /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or rotate.
     weakest_constraint: f64,
@@ -92,7 +92,7 @@ impl Instance {
     }
 }
 
-/// What was used of a cloud.
+/// The used part of a cloud.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct CloudReport {
     /// Viewpoint that gave the normals their signs: "given", "origin" or "none".
@@ -170,7 +170,7 @@ impl Registration {
         Matches { num_matches, num_inliers, rmse, num_agreeing, num_rival_agreeing, spread }
     }
 
-    /// What was used of source and target.
+    /// The used parts of source and target.
     #[getter]
     fn clouds(&self) -> (CloudReport, CloudReport) {
         let report = |cloud: &core::CloudReport| CloudReport {
@@ -256,7 +256,7 @@ pub fn register(
 #[pyclass(frozen, module = "snake_rs")]
 pub struct PreparedMap {
     map: core::PreparedMap,
-    /// What a pickle holds, from which the map is prepared again.
+    /// The content of a pickle, from which the map is prepared again.
     given: Given,
 }
 

@@ -65,7 +65,7 @@ impl Inputs {
         Ok(Self::Local(local, Some(folder)))
     }
 
-    /// What the pickle of the tiles needs.
+    /// The part that a pickle of the tiles needs.
     pub fn remote(&self, py: Python<'_>) -> Vec<Py<PyAny>> {
         match self {
             Self::Copc(_, files) => files.iter().map(|file| file.clone_ref(py)).collect(),

@@ -3,7 +3,10 @@ stage goes on from its checkpoint, on this machine or, by its weights alone, on 
 
 A recipe is a TOML file of stages in order. Each has a name, a kind, and the settings of its kind:
 
-objects   a network of objects: init (a stage), targets (of stages), and the settings of `snake_training.train`
+objects   a network of objects: init (a stage), targets (of stages), share (of the time, see `--later`; 1: all that is left), and the settings of
+          `snake_training.train`
+choice    of (stages of objects), objects: the one that repeats best at equal coverage (`snake_training.choice`); a stage that
+          begins with it has its sparsity_ridge too
 teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
@@ -14,13 +17,14 @@ confidence  of (an export), scenes (stages), number, rotations: the map in the f
           validation data (`snake_training.confidence`)
 figures   of (an export), objects, epsilon, rotations: its repeatability on the validation data (`snake_training.evaluate`)
 
-Shapes are procedural; `--data` adds some. `--smoke` runs every stage with next to no work.
+A stage with `like` has the settings of a stage before it, where it does not give its own. Shapes are procedural; `--data` adds some. `--smoke` runs every stage with next to no work.
 """
 
 import dataclasses
 import json
 import platform
 import re
+import shutil
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -34,13 +38,14 @@ try:
 except ModuleNotFoundError:  # before Python 3.11
     import tomli as tomllib
 
-from . import confidence, evaluate, moving
+from . import choice, confidence, evaluate, moving
 from .arguments import RUN, check_run, option, parser_of
 from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
-from .data import Procedural, write_corpus
+from .data import Procedural, open_shapes, write_corpus
 from .data.crops import Crops, write_part
 from .data.sensors import write_drives, write_frames
+from .device import choose_device
 from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
@@ -53,6 +58,7 @@ SMOKE_OBJECTS = dict(
     validation_objects=1, validation_resolution=8,
 )  # fmt: skip
 SMOKE_TEACHER = dict(procedural=2, rotations=3, queries=200, points=256, engine="torch")
+RESERVE = 0.4  # minutes that training by the time leaves to the validation and the stages after it
 SMOKE_SCENES = dict(steps=2, batch=1, queries=50, num_occupancy=20, warmup=1)
 
 
@@ -98,17 +104,22 @@ class ObjectStage(Stage):
     SETTINGS = TrainConfig
     init: str = ""
     targets: tuple = ()
+    share: float = (
+        0.0  # with `later`: of the minutes of both calls, 1: of all that are left; else it ends with its steps
+    )
     given: tuple = ()  # which settings of the network's shape stand in the recipe
 
     @classmethod
     def read(cls, table):
-        own = {"name", "init", "targets"}
+        own = {"name", "init", "targets", "share"}
         settings = {key: value for key, value in table.items() if key not in own}
         of_the_run = {"run_dir", "data", "split", "validation_data", "validation_split"} & set(settings)
         if of_the_run:
             raise ValueError(f"unknown setting {min(of_the_run)!r}: the command line says where data and runs are")
         config = from_table(TrainConfig, settings)
         stage = from_table(cls, {key: table[key] for key in own & set(table)})
+        if not 0 <= stage.share <= 1:
+            raise ValueError(f"share must be within [0, 1], got {stage.share}")
         # The start file is written by an earlier stage, so only check that one is named.
         check(replace(config, init=stage.init))
         return replace(stage, settings=config, given=tuple(name for name in NETWORK_SHAPE if name in settings))
@@ -121,9 +132,30 @@ class ObjectStage(Stage):
             self.settings, run_dir=str(folder), data=recipe.data, validation_data=recipe.validation_data, init=str(init),
             targets=tuple(str(recipe.run_dir / name / "targets.safetensors") for name in self.targets),
         )  # fmt: skip
+        if isinstance(recipe.stages.get(self.init), ChoiceStage):
+            config = replace(config, sparsity_ridge=recipe.chosen(self.init).settings.sparsity_ridge)
         given = {*self.given, "resolution"} if recipe.smoke else set(self.given)
         config = replace(config, **SMOKE_OBJECTS) if recipe.smoke else config
-        recipe.train(Objects(check(with_start(config, given))), folder)
+        recipe.train(Objects(check(with_start(config, given))), folder, self.share)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChoiceStage(Stage):
+    """The best of several networks of objects."""
+
+    USES = ("of",)
+    of: tuple
+    objects: int = 24
+
+    def run(self, recipe, folder):
+        """The weights of the best; its name and the figures of all stand in done.json, which moves with them."""
+        device, objects = choose_device(recipe.device), 1 if recipe.smoke else self.objects
+        shapes = open_shapes(recipe.shapes(folder))
+        judged = {name: choice.judge(load_network(recipe.weights(name), device), shapes, objects) for name in self.of}
+        best = max(judged, key=lambda name: judged[name]["score"])
+        shutil.copyfile(recipe.weights(best), folder / "weights.safetensors")
+        recipe.log(json.dumps(report := {"best": best, "judged": judged}))
+        return report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +314,7 @@ class FigureStage(Stage):
 
 
 KINDS = {
-    "objects": ObjectStage, "teacher": TeacherStage, "crops": CropStage, "scenes": SceneStage, "export": ExportStage,
+    "objects": ObjectStage, "choice": ChoiceStage, "teacher": TeacherStage, "crops": CropStage, "scenes": SceneStage, "export": ExportStage,
     "frames": FrameStage, "drives": DriveStage, "confidence": ConfidenceStage, "figures": FigureStage,
 }  # fmt: skip
 
@@ -290,15 +322,17 @@ KINDS = {
 class Recipe:
     """A recipe's stages and the folder of their results. A recipe that cannot run is a ValueError before anything does.
 
-    device, minutes, workers are those of `train.run`; the minutes are of all stages together.
+    device, minutes, workers, later are those of `train.run`; the minutes are of all stages together.
     """
 
     def __init__(
-        self, path, run_dir, smoke=False, data=(), validation_data=(), device="auto", minutes=0.0, workers=0, log=print
+        self, path, run_dir, smoke=False, data=(), validation_data=(), device="auto", minutes=0.0, workers=0, later=None, log=print
     ):  # fmt: skip
         self.path, self.run_dir, self.smoke, self.log = Path(path), Path(run_dir), smoke, log
         self.data, self.validation_data = (tuple(map(str, some)) for some in (data, validation_data))
-        self.device, self.workers = device, workers
+        self.device, self.workers, self.minutes, self.later = device, workers, minutes, later
+        if later is not None and not (later >= 0 and minutes > 0):
+            raise ValueError(f"later must be 0 minutes or more, beside minutes of this call, got {later} and {minutes}")
         self.deadline = time.monotonic() + 60 * minutes if minutes else None
         try:
             self.tables = tomllib.loads(self.path.read_text())["stages"]
@@ -307,7 +341,14 @@ class Recipe:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: not a recipe: {error}") from error
         self.stages = {}
-        for table in self.tables:
+        for row, table in enumerate(self.tables):
+            if "like" in table:
+                like = [other for other in self.tables[:row] if other["name"] == table["like"]]
+                if not like:
+                    raise ValueError(
+                        f"{path}: stage {str(table.get('name'))[:40]!r}: no stage {str(table['like'])[:40]!r} before it"
+                    )
+                table = self.tables[row] = like[0] | {key: value for key, value in table.items() if key != "like"}
             stage = self.stage_of(table)
             self.stages[stage.name] = stage
 
@@ -347,10 +388,10 @@ class Recipe:
             self.in_time(stage.name)
             folder.mkdir(parents=True, exist_ok=True)
             began = time.time()
-            stage.run(self, folder)
+            report = stage.run(self, folder) or {}
             seconds = round(time.time() - began)
             with replacing(done) as temporary:
-                temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()}))
+                temporary.write_text(json.dumps(made | {"seconds": seconds, "processor": processor()} | report))
             self.log(f"{stage.name}: {seconds} s")
 
     def unneeded(self):
@@ -363,8 +404,10 @@ class Recipe:
         return names
 
     def has_read(self, stage, name):
-        """Whether a training stage no longer needs another one: it is done, or has weights of its own and began with that one's."""
+        """Whether a training stage or a choice no longer needs another one: it is done, or has weights of its own and began with that one's."""
         has = [(self.run_dir / stage.name / file).exists() for file in ("done.json", "last.pt", Moved.NAME)]
+        if isinstance(stage, ChoiceStage):
+            return has[0]
         return isinstance(stage, ObjectStage | SceneStage) and (has[0] or (stage.init == name and any(has)))
 
     def in_time(self, name):
@@ -374,13 +417,23 @@ class Recipe:
             raise TimeSpent(f"the minutes are over before {name} is done; the same command goes on")
         return left
 
-    def train(self, task, folder):
-        """A run of a task to its last step, then its averaged weights as the stage's result."""
-        is_done = run(task, folder, self.device, self.in_time(folder.name), self.workers)
+    def train(self, task, folder, share=0.0):
+        """A run of a task to its last step, or through its share of the time, then its averaged weights as the stage's result."""
+        minutes, later = self.in_time(folder.name), None
+        if share and self.later is not None:
+            minutes = max(minutes - RESERVE, 1e-9)
+            whole = minutes + self.later if share == 1 else share * (self.minutes + self.later)
+            minutes = min(minutes, whole)
+            later = whole - minutes
+        is_done = run(task, folder, self.device, minutes, self.workers, later)
         network = load_network(folder / "last.pt")
         if not is_done:
             raise TimeSpent(f"the minutes are over within {folder.name}; the same command goes on")
         write_weights(folder / "weights.safetensors", network.config, weights_of(network))
+
+    def chosen(self, name):
+        """The stage that a choice took."""
+        return self.stages[json.loads((self.run_dir / name / "done.json").read_text())["best"]]
 
     def weights(self, name):
         """The weight file of a training stage that is done."""
@@ -419,6 +472,12 @@ def main(argv=None):
         "--data": option([], "corpus folders or folders of clouds, beside the procedural ones", str, nargs="*"),
         "--validation-data": option([], "the same for validation and figures", str, nargs="*"),
         "--smoke": dict(action="store_true", help="every stage with next to no work, to see that it runs"),
+        "--later": dict(
+            type=float,
+            metavar="MINUTES",
+            help="the time is this call's and so much of a later one: stages with a share end by it, the "
+            "learning rate falling to 0",
+        ),
         "--unpack": dict(metavar="FOLDER", help="first take up what another machine packed there"),
         "--pack": dict(metavar="FOLDER", help="at the end write there what moves to another machine, in pieces"),
     }
@@ -431,7 +490,7 @@ def main(argv=None):
         for path in map(Path, given.recipes):
             run_dir = Path(given.run_dir) / path.stem
             data = given.data, given.validation_data
-            recipe = Recipe(path, run_dir, given.smoke, *data, given.device, given.minutes, given.workers)
+            recipe = Recipe(path, run_dir, given.smoke, *data, given.device, given.minutes, given.workers, given.later)
             if given.unpack:
                 moving.unpack(Path(given.unpack) / path.stem, run_dir)
             try:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,7 +91,17 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     train(config)
     run = Path(config.run_dir)
     assert from_json((run / "config.json").read_text()) == config
-    assert set(state(config)) == {"settings", "network_config", "step", "began", "best", "network", "ema", "optimizer"}
+    assert set(state(config)) == {
+        "settings",
+        "network_config",
+        "step",
+        "spent",
+        "began",
+        "best",
+        "network",
+        "ema",
+        "optimizer",
+    }
     assert state(config)["step"] == 2 and from_json(state(config)["settings"]) == config
     assert state(config, "best.pt")["best"] >= 0
     logged = scalars(config)
@@ -146,6 +157,23 @@ def test_resuming_continues_bit_for_bit(tiny, tmp_path):
     ]
     assert differing == ["/settings", "/best"] or differing == ["/settings"]  # the run folder; validated more often
     assert sum("/exp_avg" in path for path in expected) > 100
+
+
+def test_the_rate_falls_by_time_over_two_calls_bit_for_bit(tiny, tmp_path, monkeypatch):
+    """A clock that ticks once a step: eight ticks at once, and four with four to come later."""
+    rates, rate = [], training.learning_rate
+    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(len(rates))))
+    monkeypatch.setattr(training, "learning_rate", lambda *given: rates.append(rate(*given)) or rates[-1])
+    config = tiny(steps=1000, learning_rate=0.01, optimizer="adam", weight_decay=0.0)
+    assert training.run(Objects(config), tmp_path / "whole", "cpu", 8 / 60, later=0)
+    whole, rates[:] = list(rates), []
+    assert not training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=4 / 60)
+    assert training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=0)
+    assert rates == whole and len(rates) == 8
+    assert rates == pytest.approx([0.005 * (1 + math.cos(math.pi * step / 8)) for step in range(8)])
+    one, two = (torch.load(tmp_path / name / "last.pt", weights_only=True) for name in ("whole", "parts"))
+    assert (one["step"], one["spent"]) == (two["step"], two["spent"]) == (8, 1.0)
+    assert all(torch.equal(tensor, two["network"][name]) for name, tensor in one["network"].items())
 
 
 def test_a_finished_run_is_left_as_it_is_and_another_network_is_refused(tiny):

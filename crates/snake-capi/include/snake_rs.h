@@ -7,7 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/// What a function returns. `snake_last_error` has the reason as text.
+/// The result of a function. `snake_last_error` has the reason as text.
 typedef enum SnakeStatus {
   /// The result is complete.
   SNAKE_STATUS_OK = 0,

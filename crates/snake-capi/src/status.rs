@@ -7,7 +7,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use snake_core::{Error, printable, shortened};
 
-/// What a function returns. `snake_last_error` has the reason as text.
+/// The result of a function. `snake_last_error` has the reason as text.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SnakeStatus {

@@ -132,7 +132,7 @@ pub enum Command {
     ///
     /// Exit code: 0 if a transform was found, 1 if it is not reliable and --require-reliable is given, 2 otherwise. A
     /// transform that is not reliable is a result too: a person may look at it, and another program may check it in its own
-    /// way. So the exit code is 0 unless you ask, and a warning says what it is. A robot should ask.
+    /// way. So the exit code is 0 unless you ask, with a warning. A robot should ask.
     #[command(after_help = "Examples:
   snake-cli register scan2.ply scan1.ply
   snake-cli register scan2.ply scan1.ply -o t_1_2.txt --aligned scan2_in_1.ply

@@ -176,8 +176,8 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name, and each is given once. With a format they are those of this format. A directory that is
-/// an input itself, as a bag of ROS 2 is for `detect`, stays what it is.
+/// a directory are sorted by name, and each is given once. A format selects its files. A directory that is
+/// an input itself, such as a bag of ROS 2 for `detect`, is kept.
 pub fn expand(
     inputs: &[PathBuf],
     format: Option<PointFormat>,
@@ -248,7 +248,7 @@ fn listed(files: &[PathBuf]) -> String {
     names.collect::<Vec<_>>().join(", ") + more
 }
 
-/// The error for a directory without clouds: what is in it, and what to type.
+/// The error for a directory without clouds, with its content and advice.
 fn without_clouds(folder: &Path, format: Option<PointFormat>, files: &[PathBuf]) -> String {
     let sought = match format.map(extensions) {
         None => POINT_EXTENSIONS.join(", ."),

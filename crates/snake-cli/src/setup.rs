@@ -87,11 +87,6 @@ impl ComputeArguments {
         Ok(chooser.for_cloud(&cloud()?)?.which)
     }
 
-    /// The model of `--model`, by default `scenes`.
-    pub fn load_model_of_tiles(&self) -> Result<NamedModel> {
-        self.load_model(Some(Builtin::Scenes), recommended)
-    }
-
     /// The chooser of model and options for each cloud, for given values of options.
     pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
         let chooser = match self.named()? {

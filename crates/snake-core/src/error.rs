@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use snake_geometry::{shortened, shortened_value};
 
-/// An error. Its text says what to do about it.
+/// An error. Its text gives the way out.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

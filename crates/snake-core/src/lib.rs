@@ -7,11 +7,11 @@
 //!          query grid → occupancy filter → refine → threshold → NMS ────┴→ keypoints
 //! ```
 //!
-//! | folder | what it holds |
+//! | folder | content |
 //! |---|---|
-//! | `control/` | what a call may do: progress, cancellation, limits, threads |
+//! | `control/` | control of a call: progress, cancellation, limits, threads |
 //! | `options/` | options of encoding, detection and meshes |
-//! | `cloud/` | a cloud as it is used, and what is measured of it |
+//! | `cloud/` | the used points of a cloud, and its measures |
 //! | `lattice/` | where voxels and queries lie: in a cube, or about the points of a scene |
 //! | `network/` | weights → layers; points → encoder → volume; decoder |
 //! | `field/` | encode once, query many; grid; surface |

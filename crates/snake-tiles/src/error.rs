@@ -6,7 +6,7 @@ use snake_geometry::{shortened, shortened_value};
 
 use crate::plan::Tile;
 
-/// An error. Its text says what to do about it.
+/// An error. Its text gives the way out.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -7,7 +7,7 @@
 //! 1. [`TiledRun::prepare`] reads the files point by point and writes the points to a folder, a file for each tile.
 //! 2. [`TiledRun::detect`] encodes the voxels of one tile and writes their candidates. It reads the points of the tile and of a
 //!    margin around it.
-//! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with what it needs of the neighbours, and finds
+//! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with the needed candidates of the neighbours, and finds
 //!    the nearest point of each keypoint.
 //!
 //! The keypoints have the bits of [`snake_core::Model::detect`] on the whole cloud, for any size of the tiles. Memory grows

@@ -1,4 +1,4 @@
-//! The plan of a run: what it was made from, and its tiles.
+//! The plan of a run: its inputs, and its tiles.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::{Error, Result, candidates, points};
 pub(crate) struct Source {
     /// The version of this crate.
     version: String,
-    /// Each input file with the digest of its content; for files behind URLs what the server says of it.
+    /// Each input file with the digest of its content; for files behind URLs the words of the server.
     files: Vec<(PathBuf, String)>,
     /// Whether the points are read from the files by bounds.
     pub(crate) by_bounds: bool,
@@ -159,7 +159,7 @@ impl Plan {
         (plan.source == *source).then_some(plan)
     }
 
-    /// The plan in a folder, whatever its inputs were. It must have the settings.
+    /// The plan in a folder, for any inputs. It must have the settings.
     pub(crate) fn from_settings(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
         let bytes = folder.read(PLAN)?;
         let damaged = |reason| Error::Damaged { path: folder.path().join(PLAN), reason };

@@ -27,7 +27,7 @@ pub(crate) fn name([x, y]: [i32; 2]) -> String {
     format!("points/{x}_{y}.bin")
 }
 
-/// The points of a tile so far.
+/// The points of a tile that are collected.
 #[derive(Default)]
 struct Written {
     buffer: Vec<u8>,
@@ -70,7 +70,7 @@ impl<'a> PointWriter<'a> {
         Ok(())
     }
 
-    /// Writes what is left, and waits until all is on the disk. Returns the number of points of each tile by place, and the
+    /// Writes the remaining points, and waits until all are on the disk. Returns the number of points of each tile by place, and the
     /// digest of its file.
     pub(crate) fn finish(mut self) -> Result<Vec<([i32; 2], u64, String)>> {
         self.flush()?;

@@ -243,6 +243,14 @@ def write_corpus(folder, shapes, points=8192):
     (folder / "index.json").write_text(json.dumps([{"name": f"shape-{row}"} for row in range(len(shapes))]))
 
 
+def write_carried(folder, data, validation_data, points):
+    """Corpus folders `train`, of so many points a shape, and `val`, to carry to another machine; returns their size as a line."""
+    for name, of, number in (("train", data, points), ("val", validation_data, 8192)):
+        write_corpus(Path(folder) / name, open_shapes(of), number)
+    size = sum(path.stat().st_size for path in Path(folder).rglob("*.*") if path.is_file())
+    return [f"{folder}: {size / 1e6:.1f} MB"]
+
+
 def write_halves(folder, corpus):
     """Three corpus folders from one, by the order of its rows; returns the numbers of their objects as a line.
 

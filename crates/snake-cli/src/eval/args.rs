@@ -94,7 +94,7 @@ pub struct RegistrationArguments {
     /// Detectors to evaluate; all of them by default.
     #[arg(long, value_delimiter = ',', value_parser = named::<Detector>, default_values = methods())]
     pub detectors: Vec<Detector>,
-    /// Descriptors to evaluate: field, fpfh, or the name of an --external, whose descriptor of a keypoint is that of the nearest
+    /// Descriptors to evaluate: field, fpfh, or the name of an --external, which describes a keypoint by the nearest
     /// point in the file.
     #[arg(long, value_delimiter = ',', default_value = "field,fpfh")]
     pub descriptors: Vec<String>,

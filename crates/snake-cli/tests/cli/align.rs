@@ -130,7 +130,7 @@ fn align_refuses_bad_arguments_before_any_work() {
         (vec![&scans, "--merged", "map.las"], "las"),
         (vec![&first, "-o", &poses], "2 to 500"),
         (vec![&scans, "--merged", &first], "overwrite"),
-        // What is known of one pair is no option of many clouds.
+        // Options of one pair are no options of many clouds.
         (vec![&scans, "-o", &poses, "--set", "source_viewpoint=[0,0,0]"], "unknown option `source_viewpoint`"),
         (vec![&scans, "-o", &poses, "--set", "hypotheses=3"], "unknown option `hypotheses`"),
         (vec![&scans, "-o", &poses, "--max-partners", "0"], "max_partners"),

@@ -1,4 +1,4 @@
-//! What ships is pinned: keypoints of the sample by each built-in model with its own options, and the transform between two
+//! Results as shipped, pinned: keypoints of the sample by each built-in model with its own options, and the transform between two
 //! made scans of a room. `SNAKE_WRITE_GOLDEN=1 cargo test -p snake-keypoints --test cli default_path` writes the file anew; the commit
 //! that changes it says why.
 

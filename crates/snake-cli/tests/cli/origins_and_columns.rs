@@ -32,7 +32,7 @@ impl Clouds {
     }
 }
 
-/// What a command that ends well prints with `--json`, and its standard error.
+/// The JSON that a successful command prints, and its standard error.
 fn report(arguments: &[&str]) -> (Value, String) {
     let output = snake(arguments);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -64,7 +64,7 @@ fn a_pcd_of_far_keypoints_reports_its_origin() {
     let number = |axis: usize| f32::from_le_bytes(bytes[start + 4 * axis..][..4].try_into().unwrap());
     let first = ["x", "y", "z"].map(|axis| json["keypoints"][0][axis].as_f64().unwrap());
     assert_moved([0, 1, 2].map(|axis| f64::from(number(axis))), first, origin);
-    // What reads our comment gets the positions whole.
+    // A reader of our comment gets the whole positions.
     assert_moved(clouds.positions("k.pcd")[0], first, [0.0; 3]);
 
     let (json, said) = report(&["detect", &clouds.path("near.npy"), "--json", "-o", &keypoints]);

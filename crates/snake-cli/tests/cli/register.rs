@@ -81,7 +81,7 @@ fn register_prints_and_writes_the_transform() {
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     let report: Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
     assert!(printed.contains("t_target_source") && printed.contains(&json), "{printed}");
-    // What each number is of.
+    // The meaning of each number.
     let inliers =
         format!("matches: {} of {} within", report["matches"]["num_inliers"], report["matches"]["num_matches"]);
     assert!(printed.contains(&inliers) && printed.contains("% of the source's voxels within"), "{printed}");

@@ -123,7 +123,7 @@ fn folders_of_the_user_are_refused_with_what_to_type() {
         fs::remove_dir_all(own).unwrap();
     }
 
-    // What the user puts into the default folder during a run stays.
+    // Files that the user puts into the default folder during a run stay.
     let mut child = detect(&scan, &output, &[]).spawn().unwrap();
     while !default.join("points").exists() {
         assert!(child.try_wait().unwrap().is_none());

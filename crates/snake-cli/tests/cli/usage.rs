@@ -44,7 +44,7 @@ pub fn helps(name: &[&str]) -> Vec<(String, String)> {
     let help = stdout(&snake(&[name, &["--help"]].concat()));
     let (_, commands) = help.split_once("\nCommands:\n").unwrap_or_default();
     let entries = commands.lines().take_while(|line| !line.is_empty());
-    // What is indented further goes on with the line before.
+    // A line that is indented further continues the line before.
     let names = entries.filter(|line| !line.starts_with("   ")).filter_map(|line| line.split_whitespace().next());
     let below: Vec<_> =
         names.filter(|below| *below != "help").flat_map(|below| helps(&[name, &[below]].concat())).collect();
@@ -87,7 +87,7 @@ fn bash_completes_sub_commands_and_their_options() {
     let folder = tempfile::tempdir().unwrap();
     let script = folder.path().join("snake-cli.bash");
     std::fs::write(&script, stdout(&snake(&["completions", "bash"]))).unwrap();
-    // What Bash does when the last word is completed: the function of `complete` is called with the program and two words.
+    // Bash completes the last word like this: the function of `complete` is called with the program and two words.
     let typed = "source $0; read -ra words <<< $(complete -p snake-cli); COMP_WORDS=($@); COMP_CWORD=$(($# - 1))
         ${words[${#words[@]} - 2]} $1 \"${@: -1}\" \"${@: -2:1}\"; echo ${COMPREPLY[@]}";
     let completed = |line: &str| {
@@ -141,7 +141,7 @@ fn quiet_leaves_files_json_and_errors() {
     assert_eq!(output.status.code(), Some(2));
     let said = stderr(&output);
     assert!(said.starts_with("error: nowhere.ply: ") && said.lines().count() == 1, "{said}");
-    // What the system said, once.
+    // The words of the system, once.
     assert_eq!(said.matches("(os error 2)").count(), 1, "{said}");
     assert_eq!(snake(&["detect", &sample(), "-q", "-v"]).status.code(), Some(2));
 }
@@ -180,7 +180,7 @@ fn options_can_be_environment_variables() {
         let output = snake_with(arguments, nowhere);
         assert!(stderr(&output).contains("nowhere.safetensors"), "{}", stderr(&output));
     }
-    // What is given as an option is what counts.
+    // A given option wins.
     assert!(snake_with(&["detect", &sample(), "--model", &golden], nowhere).status.success());
     let said = stderr(&snake_with(&["detect", &sample(), "-v"], &[("SNAKE_THREADS", "3")]));
     assert!(said.contains("threads: 3,"), "{said}");
@@ -255,7 +255,7 @@ fn quoted_patterns_are_expanded() {
     assert_refused(&snake(&["detect", &pattern("*.xyz")]), "*.xyz: no file matches this pattern");
 }
 
-/// What a command shows on a pseudo-terminal up to `expected`; it is ended then. `None` where there is no `script`.
+/// The output of a command on a pseudo-terminal up to `expected`; it is ended then. `None` where there is no `script`.
 #[cfg(target_os = "linux")]
 pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option<String> {
     use std::io::Read;

@@ -86,7 +86,7 @@ impl Chooser {
         self.named.is_some()
     }
 
-    /// The seed of the options, for what is drawn before a cloud is known.
+    /// The seed of the options, for random draws before a cloud is known.
     pub fn seed(&self) -> u64 {
         let options = self.named.as_ref().map_or(&self.options[self.candidates()[0] as usize], |named| &named.options);
         options.encode.seed
@@ -203,7 +203,7 @@ impl Options {
     }
 }
 
-/// A cloud in the frame that a normalisation asks for. With a fixed one coordinates are those of the network's frame, or twice
+/// A cloud in the frame of a normalisation. With a fixed one coordinates are in the network's frame, or twice
 /// those, so the origin belongs to them.
 fn placed<'a>(
     cloud: UsedCloud<'a>,
@@ -256,7 +256,7 @@ pub struct Chosen<'a> {
     pub options: Options,
     /// The reason for the model.
     pub by: ChosenBy,
-    /// A text for the user if an option changed the model from what the cloud would have, or if the cloud could be of
+    /// A text for the user if an option named another model than the one that suits the cloud, or if the cloud could be of
     /// either kind.
     pub note: Option<String>,
     /// The cloud, in the frame that the options ask for.

@@ -5,7 +5,7 @@ use snake_geometry::Point;
 
 /// Number of points that are measured.
 const MEASURED: usize = 512;
-/// A point stands alone if its nearest neighbour is this many times as far as is usual. Of sweeps 4 in a hundred do.
+/// A point stands alone if the distance to its nearest neighbour is this many times the usual one. In sweeps 4 % do.
 const ALONE: f64 = 3.0;
 /// Smallest share of points that stand alone in a haze.
 const MIN_SHARE: f64 = 0.08;

@@ -1,4 +1,4 @@
-//! A cloud as it is used: its finite points without outliers and missing returns, and what is measured of it, each once.
+//! The used points of a cloud, finite and without outliers and missing returns, and its measures, each taken once.
 
 mod coordinate_step;
 mod haze;
@@ -103,7 +103,7 @@ impl<'a> UsedCloud<'a> {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Builtin, Detection, Detector, Model};
+    use crate::{Builtin, Detection, FrameDetector, Model};
     use snake_geometry::Point;
 
     #[test]
@@ -117,7 +117,7 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let detect = |points: &[Point]| model.detect(points, model.recommended()).unwrap();
         let (expected, detection, mut frame) = (detect(&clean), detect(&dirty), Detection::default());
-        let mut frames = Detector::new(model.clone(), *model.recommended()).unwrap();
+        let mut frames = FrameDetector::new(model.clone(), *model.recommended()).unwrap();
         frames.detect_into(&dirty, &mut frame).unwrap();
         assert!(!expected.keypoints.is_empty() && expected.keypoints.len() == detection.keypoints.len());
         for (keypoint, expected) in

@@ -1,8 +1,8 @@
 //! Signs of a scene: how a cloud of a room, a street or terrain differs from one of a single object, in any unit.
 //!
 //! A scene is seen from within or from one side, and much of it is flat; an object is seen from all around. The signs are
-//! measured on the mean points of the cells of a coarse grid, which do not depend on how densely the sensor samples what is
-//! near, after these are laid on the plane of what is about them: a noisy wall is flat too.
+//! measured on the mean points of the cells of a coarse grid, which do not depend on the density of near points,
+//! after projection onto the plane of their surroundings: a noisy wall is flat too.
 //! `python -m snake_training.cloud_kind` fits the weights in `choose/rule.rs`. By
 //! them 99 % of the fragments and parts of fragments that chose nothing are taken for scenes, with noise of 2 cm 92 %, and
 //! 16 % of the whole validation objects: an object taken for a scene costs little.
@@ -23,7 +23,7 @@ const MIN_POINTS: usize = 100;
 const CELLS: f64 = 16.0;
 /// Directions about the middle of the cloud.
 const DIRECTIONS: usize = 100;
-/// Points within so many sides of a cell make the plane on which it is laid.
+/// Points within this many sides of a cell give the plane onto which its mean is projected.
 const PLANE_RADIUS: f64 = 1.6;
 /// Fewest points that make a plane.
 const MIN_PLANE_POINTS: usize = 6;

@@ -13,14 +13,14 @@ const STEPS: [(f32, i32); 3] = [(1.0, 8), (0.85, 12), (0.7, 16)];
 /// The share of the radius about a mode within which its best candidate is looked for.
 const SCORE_SHARE: f32 = 0.5;
 
-/// How far from its start the candidates are that decide a mode, in radii: the three steps and the look at the best one.
+/// The distance from its start, in radii, within which candidates decide a mode: three steps and the search for the best one.
 pub(crate) const SHIFT: f32 = 3.1;
 
 /// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
-/// keypoints the number is that of 64, because the most salient candidates lie close together.
+/// keypoints the number for 64 is used, because the most salient candidates lie close together.
 const STARTS: usize = 48;
 
-/// Candidates that moved to modes, by falling saliency of where they started.
+/// Candidates that moved to modes, by falling saliency at their starts.
 pub(crate) struct Modes {
     /// Their new positions.
     pub(crate) positions: Vec<Point>,

@@ -27,7 +27,7 @@ impl VolumeFrame {
         [z, y, x]
     }
 
-    /// The size of a voxel along x, of a cloud with so many units in one network unit.
+    /// The voxel size along x in cloud units; `scale` is cloud units per network unit.
     pub(crate) fn voxel_size(&self, scale: f32) -> f32 {
         scale * (1.0 + self.padding) / self.resolution[0] as f32
     }

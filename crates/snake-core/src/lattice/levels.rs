@@ -6,10 +6,10 @@ use snake_kernels::BLOCK_SIDE;
 use super::blocks::{BlockGrid, children, half_of_parent, places_between};
 
 /// Nodes from the points, or from the next finer level's blocks, up to which a level has blocks: two convolutions reach so
-/// far, so whatever the encoder makes of the points lies in them.
+/// far, so all features that the encoder makes of the points lie in them.
 const REACH: i32 = 2;
 
-/// The same for the near blocks: what one convolution makes of the points lies in them.
+/// The same for the near blocks: the output of one convolution of the points lies in them.
 const NEAR: i32 = 1;
 
 /// The same for the filled blocks: the features of the points lie in them.

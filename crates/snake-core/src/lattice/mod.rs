@@ -98,7 +98,7 @@ impl Lattice {
         }
     }
 
-    /// The size of a voxel, along x should the axes differ, of a cloud with so many units in one network unit.
+    /// The voxel size along x in cloud units; `scale` is cloud units per network unit.
     pub(crate) fn voxel_size(&self, scale: f32) -> f32 {
         match self {
             Self::Cube(frame) => frame.voxel_size(scale),
@@ -145,7 +145,7 @@ impl Lattice {
         }
     }
 
-    /// Corrects the scores of refined queries: of a scene those near the rims of what was seen.
+    /// Corrects the scores of refined queries: in a scene those near the rims of the seen surface.
     pub(crate) fn adjust(&self, refined: &mut [Refined]) -> Result<()> {
         match self {
             Self::Cube(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! Rims: where the surface that was seen ends, as at the border of a crop, at the edge of an image or beside what hides it.
+//! Rims: the ends of the seen surface, at the border of a crop, at the edge of an image or beside an object that hides it.
 //!
 //! The network sees less of a surface at its rim and takes it for a corner. A cell lies on a rim if the cells around it are about
 //! as flat as a plane and lie on one side of it. An edge or a corner has another face on the other side. Whether a

@@ -60,7 +60,7 @@ impl Model {
         }
     }
 
-    /// The options with the finest query grid for which enough points can be encoded in so many seconds.
+    /// The options with the finest query grid for which enough points can be encoded in the time.
     fn most_points(&self, cloud: &[Point], seconds_of_budget: f64) -> Result<Options> {
         let mut best = None;
         for query_resolution in RESOLUTIONS {
@@ -77,7 +77,7 @@ impl Model {
         Ok(best.unwrap_or(*self.recommended()))
     }
 
-    /// The options of a scene model with the smallest voxels that take at most so many seconds.
+    /// The options of a scene model with the smallest voxels that take at most `seconds`.
     fn largest_voxels(&self, cloud: &[Point], seconds: f64) -> Result<Options> {
         let recommended = *self.recommended();
         let with = |voxel_size| recommended.with_encode(recommended.encode.with_voxel_size(voxel_size));

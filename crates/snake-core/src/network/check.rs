@@ -27,7 +27,7 @@ impl Network {
         check_rotations(options.rotations, &self.config)
     }
 
-    /// [`Network::check`] for options of detection in a field of so many rotations.
+    /// [`Network::check`] for options of detection in a field of `rotations` copies.
     pub(crate) fn check_detect(&self, options: &DetectOptions, rotations: usize) -> Result<()> {
         options.check_ranges()?;
         check_queries(options.query_resolution, options.refine_steps, rotations)?;
@@ -63,7 +63,7 @@ fn volume_values(config: &ModelConfig) -> usize {
     config.volume.num_voxels() * widest(config)
 }
 
-/// Bytes of the feature volumes of so many rotations.
+/// Bytes of the feature volumes of a number of rotations.
 pub(crate) fn volume_bytes(config: &ModelConfig, rotations: usize) -> usize {
     volume_values(config).saturating_mul(rotations).saturating_mul(size_of::<f32>())
 }
@@ -89,7 +89,7 @@ pub(crate) fn max_blocks(channels: usize) -> usize {
     MAX_SCENE_VALUES / (snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS))
 }
 
-/// Bytes of a scene's volume of so many blocks.
+/// Bytes of a scene's volume of a number of blocks.
 pub(crate) fn scene_bytes(blocks: usize, channels: usize) -> usize {
     blocks * snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS) * size_of::<f32>()
 }

@@ -95,7 +95,7 @@ options! {
 }
 
 impl DetectOptions {
-    /// The factors of the number of evaluations of the decoders, at most, for so many queries of a field of so many rotations.
+    /// The factors of the largest number of decoder evaluations, for a number of queries and of rotated copies.
     pub(crate) fn evaluations(&self, queries: usize, rotations: usize) -> [usize; 3] {
         [queries, self.refine_steps.saturating_add(1), rotations]
     }

@@ -132,7 +132,7 @@ impl<'a> Figures<'a> {
 }
 
 /// The report of the pairs of each seed. All pairs have rows for the same methods and conditions; rows of the same method and
-/// condition are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+/// condition belong to several models. The tables also show the paper's rows, and the JSON has the settings.
 ///
 /// # Panics
 /// When there are no pairs, or when two pairs have rows for different methods or conditions.
@@ -286,7 +286,10 @@ At ε 0.2, over noise:
 ";
         assert_eq!(tables::markdown(&report.charts), markdown);
         let csv = &report.csv;
-        assert_eq!(csv.lines().nth(1).unwrap(), "iss,1,0,0.1,0.375,0.1767766952966369,0.125,0.1767766952966369,6,0.25,0.125,2");
+        assert_eq!(
+            csv.lines().nth(1).unwrap(),
+            "iss,1,0,0.1,0.375,0.1767766952966369,0.125,0.1767766952966369,6,0.25,0.125,2"
+        );
         assert_eq!(csv.lines().count(), 5);
         let json: Value = serde_json::from_str(&report.json).unwrap();
         assert_eq!(json["rows"][1]["repeatability"], json!([0.0, 0.25]));

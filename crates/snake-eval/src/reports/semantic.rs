@@ -97,7 +97,7 @@ fn summarize(runs: &[Classes], class: Option<&str>, are_bodies: bool) -> Result<
 }
 
 /// The report of the shapes with their classes, or the pairs of bodies without classes, seed by seed. Rows of the same method
-/// are those of several models. The tables also show the paper's rows, and the JSON has the settings.
+/// belong to several models. The tables also show the paper's rows, and the JSON has the settings.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when a row has no counts.

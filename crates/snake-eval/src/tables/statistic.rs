@@ -30,7 +30,9 @@ impl Statistic {
 
     /// Both numbers as cells of a CSV file.
     pub fn csv(&self) -> String {
-        let number = |value: Option<f64>| value.filter(|value| !value.is_nan()).map(|value| value.to_string()).unwrap_or_default();
+        let number = |value: Option<f64>| {
+            value.filter(|value| !value.is_nan()).map(|value| value.to_string()).unwrap_or_default()
+        };
         format!("{},{}", number(Some(self.mean)), number(self.deviation))
     }
 }

@@ -1,4 +1,7 @@
 //! Reads glTF scenes, as JSON (gltf) and as binary files (glb).
+//!
+//! The crate `gltf` 1.4.1 panics at an index that is not there, unless it validates the whole file, and then refuses files whose
+//! damaged materials no vertex needs.
 
 mod data;
 mod document;

@@ -6,8 +6,8 @@ use nalgebra::IsometryMatrix3;
 
 use snake_geometry::Vector;
 
-use super::TUNING;
 use crate::rigid::displacement;
+use crate::steps::judge;
 
 /// A transform between two clouds and the probability, 0 to 1, that it is right by its own
 /// evidence.
@@ -55,7 +55,7 @@ pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> 
             let Some(&last) = by_cloud[target].get(&third) else { continue };
             let first = by_cloud[source][&third];
             let others = [&witnesses[first], &witnesses[last]];
-            if others.iter().any(|other| other.confidence < TUNING.reliable) {
+            if others.iter().any(|other| other.confidence < judge::TUNING.reliable) {
                 continue;
             }
             let distance = others.iter().map(|other| other.distance).fold(witness.distance, f64::max);

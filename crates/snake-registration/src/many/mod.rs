@@ -42,14 +42,8 @@ tuning! {
     samples: usize = 16_000, unit "descriptors", from "set by hand in 595368d";
     /// Number of rounds of k-means.
     word_rounds: usize = 10, unit "rounds", from "set by hand in 595368d";
-    /// A transform with this confidence is a witness for others.
-    reliable: f64 = 0.5, unit "probability", from "the confidence from which a verdict is reliable";
-    /// Number of points of a cloud that tell whether a loop is closed, and whether clouds overlap.
-    probes: usize = 50, unit "points", from "set by hand in 595368d";
     /// A loop of three transforms is closed if it moves points by less than this.
     loop_distance: f64 = 3.0, unit "inlier distances", from "set by hand in 595368d";
-    /// A transform takes part in the pose graph if its probability of being wrong is at most this.
-    max_doubt: f64 = 0.5, unit "probability", from "set by hand in c6a0685";
     /// Links that contradict the others are dropped at once if their error is above this share of
     /// the greatest.
     dropped: f64 = 0.5, unit "share of the greatest error", from "set by hand in c6a0685";
@@ -80,8 +74,6 @@ tuning! {
     /// A transform contradicts initial poses if it moves the source farther from where they put it.
     /// A thing has at least twice its standard deviation in height, so that a storey is higher.
     prior_tolerance: f64 = 1.5, unit "least standard deviations of a cloud", from "set by hand";
-    /// The same for thin clouds.
-    min_prior_tolerance: f64 = 2.0, unit "inlier distances", from "as two candidates of `refine` differ";
     /// Points are close if they are nearer than this.
     overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
 }

@@ -14,7 +14,7 @@ use crate::register::tries::{Effort, Search};
 use crate::result::Registration;
 use crate::rigid::{displacement, moved};
 use crate::steps::prepare::{Given, Pyramid};
-use crate::steps::{Pair, approach};
+use crate::steps::{Pair, approach, refine};
 
 /// The initial poses of clouds in one frame, with the distances that do not contradict them.
 pub(super) struct Priors {
@@ -44,7 +44,7 @@ impl Priors {
         let tolerance = tolerance.map(|length| length.resolve("pose_tolerance", || coarsest)).transpose()?;
         let clouds = || 0..pyramid.len();
         let by_cloud = |cloud: usize| {
-            let least = TUNING.min_prior_tolerance * pyramid.inlier_distance(pyramid.common(&[cloud]));
+            let least = refine::TUNING.min_difference * pyramid.inlier_distance(pyramid.common(&[cloud]));
             least.max(TUNING.prior_tolerance * least_spread(&pyramid.own(cloud).voxels.voxels.points))
         };
         Ok(Self {

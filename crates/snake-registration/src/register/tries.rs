@@ -24,7 +24,7 @@ tuning! {
 /// One try: a row of [`TRIES`].
 struct Try {
     /// Whether it can change what was found so far, which is not reliable.
-    applies: fn(&Search, &Tried) -> Result<bool>,
+    applies: fn(&Search, &Tried) -> bool,
     /// How it prepares the clouds and guesses transforms.
     run: fn(&Search, &mut Tried) -> Result<Registration>,
     /// What it costs in confidence.
@@ -44,14 +44,14 @@ pub(super) enum Keep {
 const TRIES: [Try; 4] = [
     // Transforms on which matches agree.
     Try {
-        applies: |_, _| Ok(true),
+        applies: |_, _| true,
         run: |search, tried| search.by_matches(search.pair, tried),
         cost: |_, registration| Ok(registration),
         keep: Keep::Always,
     },
     // Those of single matches too.
     Try {
-        applies: |search, tried| Ok(search.has_single_matches(tried) && !tried.repeats()),
+        applies: |search, tried| search.has_single_matches(tried) && !tried.repeats(),
         run: |search, tried| search.by_single_matches(tried),
         cost: |search, registration| search.unconfirmed(registration),
         // It has compared the transforms of the first try, too.
@@ -59,14 +59,14 @@ const TRIES: [Try; 4] = [
     },
     // Without signs of normals. Without viewpoints, the clouds would have had none.
     Try {
-        applies: |search, tried| Ok(tried.best.is_some() && tried.is_signed() && search.pair.has_doubtful_signs()),
+        applies: |search, tried| tried.is_signed() && search.pair.has_doubtful_signs(),
         run: |search, tried| search.by_matches(&search.pair.without_signs(), tried),
         cost: |_, registration| Ok(registration),
         keep: Keep::MoreConfident,
     },
     // On finer voxels. What repeats itself does so at any size of voxels.
     Try {
-        applies: |search, tried| Ok(search.given.is_some() && !tried.repeats()),
+        applies: |search, tried| search.given.is_some() && !tried.repeats(),
         run: |search, tried| search.on_finer_voxels(tried),
         cost: |_, registration| Ok(less_confident(registration)),
         keep: Keep::Reliable,
@@ -153,7 +153,7 @@ impl<'a, 'p> Search<'a, 'p> {
             if tried.best.as_ref().is_some_and(|best| best.verdict.is_reliable) {
                 break;
             }
-            if (one.applies)(self, &tried)? {
+            if (one.applies)(self, &tried) {
                 let outcome = (one.run)(self, &mut tried).and_then(|registration| (one.cost)(self, registration));
                 missing = missing.or(keep(&mut tried.best, outcome, one.keep)?);
             }

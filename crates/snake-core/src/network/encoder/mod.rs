@@ -49,7 +49,7 @@ impl Encoder {
         })
     }
 
-    /// The progress units of [`Encoder::encode`] for so many points; 0 if it knows them only from the points, and then sets them.
+    /// The progress units of [`Encoder::encode`] for a number of points; 0 if they follow from the points, when it sets them itself.
     pub(crate) fn work(&self, num_points: usize) -> usize {
         match self {
             Self::Dense(encoder) => encoder.work(num_points),

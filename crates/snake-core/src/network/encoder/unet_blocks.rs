@@ -18,7 +18,7 @@ use crate::network::weights::Scope;
 struct BlockConv {
     /// The weights of each input.
     parts: Vec<PackedConv3d>,
-    /// The bias, with what the constant of the input adds to each output.
+    /// The bias, with the part that the constant of the input adds to each output.
     bias: Vec<f32>,
     /// The output far from all points.
     constant: Vec<f32>,
@@ -86,7 +86,7 @@ struct Lengths {
     result: usize,
 }
 
-/// The two ends of a level's memory: so many values where its input lies and its result will, and so many at the other end.
+/// The two ends of a level's memory: `here` values at the end of its input and its result, `there` values at the other end.
 fn ends(memory: &mut [f32], starts: bool, [here, there]: [usize; 2]) -> [&mut [f32]; 2] {
     let between = memory.len() - here - there;
     if starts {
@@ -199,7 +199,7 @@ impl BlockUnet {
     }
 
     /// One level of the U-Net and all coarser ones. The input lies at the start of the memory or at its end, and so does the
-    /// result. While the coarser levels are made the other end keeps what the encoder adds to the decoder's sums.
+    /// result. While the coarser levels are made, the other end keeps the encoder's part of the decoder's sums.
     fn level(
         &self,
         levels: &[Level],
@@ -245,7 +245,7 @@ fn own<'a>(level: &'a Level, values: &'a [f32], channels: usize) -> BlockSource<
     BlockSource { values, channels, neighbors: &level.neighbors, halves: None }
 }
 
-/// The number of values of so many blocks and block 0.
+/// The number of values of a number of blocks and block 0.
 fn num_values(num_blocks: usize, channels: usize) -> usize {
     (num_blocks + 1) * BLOCK_VOXELS * channels
 }

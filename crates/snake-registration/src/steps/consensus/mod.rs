@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::rigid::{best_fit, best_fit_about, displacement};
 use crate::steps::matches::{Criteria, Match};
+use crate::steps::refine;
 use crate::tuning::tuning;
 use graph::Graph;
 use snake_core::{Control, Error, Result};
@@ -32,8 +33,6 @@ tuning! {
     max_refits: usize = 5, unit "fits", from "set by hand in 3738705";
     /// Number of points that tell whether two transforms differ.
     probes: usize = 50, unit "points", from "set by hand in 3738705";
-    /// Two transforms differ if they move these points farther apart than this (root mean square).
-    min_difference: f64 = 2.0, unit "inlier distances", from "set by hand in 3738705";
     /// Two matches are incompatible if a cosine between normals and their connecting line differs
     /// by this between the clouds.
     cosine_tolerance: f32 = 0.3, unit "cosine", from "set by hand in 3738705";
@@ -141,7 +140,10 @@ fn distinct(
         if kept.len() == count {
             break;
         }
-        if kept.iter().all(|other| displacement(transform, other, &probes) > TUNING.min_difference * inlier_distance) {
+        if kept
+            .iter()
+            .all(|other| displacement(transform, other, &probes) > refine::TUNING.min_difference * inlier_distance)
+        {
             kept.push(*transform);
         }
     }

@@ -53,7 +53,11 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let matches = |chosen: &[usize]| {
         let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
         let products = all.tr_mul(&own);
-        chosen.iter().zip(products.column_iter()).filter_map(|(&from, column)| nearest(from, column)).collect::<Vec<_>>()
+        chosen
+            .iter()
+            .zip(products.column_iter())
+            .filter_map(|(&from, column)| nearest(from, column))
+            .collect::<Vec<_>>()
     };
     chosen.chunks(CHUNK).flat_map(matches).collect()
 }

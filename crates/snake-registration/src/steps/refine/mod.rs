@@ -41,8 +41,6 @@ tuning! {
         from "set for time in 8e0d76d (0.08 instead of 0.11 s of CPU for a pair of made streets)";
     /// Pairs of patches farther apart than this are left out.
     max_medians: f64 = 4.0, unit "medians of all pairs", from "set by hand in b0e7886";
-    /// With fewer pairs of patches the rough transform stays.
-    min_patch_pairs: usize = 100, unit "pairs", from "set by hand in b0e7886";
 }
 
 /// A transform with the figures that rank it.

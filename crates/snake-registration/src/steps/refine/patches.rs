@@ -4,7 +4,7 @@ use nalgebra::IsometryMatrix3;
 
 use super::TUNING;
 use super::icp::iterate;
-use crate::cloud::patches::{FineCloud, overlap};
+use crate::cloud::patches::{self, FineCloud, overlap};
 use crate::cloud::planes::PlanePair;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
@@ -31,7 +31,7 @@ pub(crate) fn refine_on_patches(
 
 /// The pairs whose planes are not much farther than the median; none if there are too few pairs.
 fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
-    if pairs.len() < TUNING.min_patch_pairs {
+    if pairs.len() < patches::TUNING.min_pairs {
         return Vec::new();
     }
     let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance.abs()).collect();

@@ -35,8 +35,6 @@ tuning! {
     free_side: f64 = 1.3, unit "inlier distances", from "set by hand";
     /// Every so many of a cloud's voxels are looked at.
     scene_step: usize = 4, unit "voxels", from "set for time: with 1, 2 and 3 as many pairs of scenes are right";
-    /// A voxel faces along the axis if the cosine between the normals is above this.
-    along: f64 = 0.7, unit "cosine", from "set by hand";
     /// Number of transforms that support each other, at most: those whose surroundings fit best.
     max_voters: usize = 500, unit "transforms", from "set by hand";
     /// A transform supports another that brings the points of its match closer than this.

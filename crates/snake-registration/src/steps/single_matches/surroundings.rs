@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use super::TUNING;
 use super::free_space::FreeSpace;
 use crate::cloud::near_grid::NearGrid;
+use crate::cloud::surface;
 use crate::steps::oriented::Oriented;
 use snake_geometry::Vector;
 
@@ -53,7 +54,7 @@ impl Surroundings {
             }
             let turns = v.atan2(u) / TAU;
             let azimuth = ((turns - turns.floor()) * f64::from(AZIMUTHS)) as u32 % AZIMUTHS;
-            let is_along = scene.normals[voxel].dot(&place.normal).abs() > TUNING.along;
+            let is_along = scene.normals[voxel].dot(&place.normal).abs() > surface::TUNING.agreeing_cosine;
             let kind = if is_along { &mut around.along } else { &mut around.across };
             kind[ring * SLABS + slab as usize] |= 1 << azimuth;
         });
