@@ -197,10 +197,10 @@ impl<'a, 'b> Fitting<'a, 'b> {
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
         let motions = |cloud: usize| self_motions(self.pair.clouds()[cloud], self.pair.is_signed());
-        let of_source = motions(0)?.iter().flat_map(|motion| [winner * motion, winner * motion.inverse()]);
-        let of_target = motions(1)?.iter().flat_map(|motion| [motion * winner, motion.inverse() * winner]);
+        let from_source = motions(0)?.iter().flat_map(|motion| [winner * motion, winner * motion.inverse()]);
+        let from_target = motions(1)?.iter().flat_map(|motion| [motion * winner, motion.inverse() * winner]);
         let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
-        for guess in of_target.chain(of_source) {
+        for guess in from_target.chain(from_source) {
             let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
             let is_elsewhere = displacement(&guess, winner, &self.coarse) > TUNING.elsewhere * distance;
             if is_elsewhere && guesses.iter().all(differs) {
