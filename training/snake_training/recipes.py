@@ -5,8 +5,7 @@ A recipe is a TOML file of stages in order. Each has a name, a kind, and the set
 
 objects   a network of objects: init (a stage), targets (of stages), share (of the time, see `--later`; 1: all that is left), and the settings of
           `snake_training.train`
-choice    of (stages of objects), objects: the one that repeats best at equal coverage (`snake_training.choice`); a stage that
-          begins with it has its sparsity_ridge too
+choice    of (stages of objects), objects: the best at equal coverage; what begins with it has its sparsity_ridge too
 teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
@@ -149,12 +148,12 @@ class ChoiceStage(Stage):
     def run(self, recipe, folder):
         """The weights of the best; its name and the figures of all stand in done.json, which moves with them."""
         device, shapes = choose_device(recipe.device), open_shapes(recipe.shapes(folder))
-        networks = {name: load_network(recipe.weights(name), device) for name in self.of}
-        judged = {name: choice.judge(networks[name], shapes, 1 if recipe.smoke else self.objects) for name in self.of}
+        objects, weights = 1 if recipe.smoke else self.objects, {name: recipe.weights(name) for name in self.of}
+        judged = {name: choice.judge(load_network(path, device), shapes, objects) for name, path in weights.items()}
         best = max(judged, key=lambda name: judged[name]["score"])
         shutil.copyfile(recipe.weights(best), folder / "weights.safetensors")
-        recipe.log(json.dumps(report := {"best": best, "judged": judged}))
-        return report
+        recipe.log(json.dumps({"best": best, "judged": judged}))
+        return {"best": best, "judged": judged}
 
 
 @dataclass(frozen=True, kw_only=True)
