@@ -5,8 +5,7 @@ A recipe is a TOML file of stages in order. Each has a name, a kind, and the set
 
 objects   a network of objects: init (a stage), targets (of stages), share (of the time, see `--later`; 1: all that is left), and the settings of
           `snake_training.train`
-choice    of (stages of objects), objects: the one that repeats best at equal coverage (`snake_training.choice`); a stage that
-          begins with it has its sparsity_ridge too
+choice    of (stages of objects), objects: the best at equal coverage; what begins with it has its sparsity_ridge too
 teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
@@ -22,7 +21,6 @@ A stage with `like` has the settings of a stage before it, where it does not giv
 
 import dataclasses
 import json
-import platform
 import re
 import shutil
 import sys
@@ -45,7 +43,7 @@ from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data import Procedural, open_shapes, write_corpus
 from .data.crops import Crops, write_part
 from .data.sensors import write_drives, write_frames
-from .device import choose_device
+from .device import choose_device, processor
 from .export import Moved, load_network, replacing, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
@@ -58,7 +56,7 @@ SMOKE_OBJECTS = dict(
     validation_objects=1, validation_resolution=8,
 )  # fmt: skip
 SMOKE_TEACHER = dict(procedural=2, rotations=3, queries=200, points=256, engine="torch")
-RESERVE = 0.4  # minutes that training by the time leaves to the validation and the stages after it
+RESERVE = 0.4  # minutes that training by the time leaves to validation and export
 SMOKE_SCENES = dict(steps=2, batch=1, queries=50, num_occupancy=20, warmup=1)
 
 
@@ -149,13 +147,13 @@ class ChoiceStage(Stage):
 
     def run(self, recipe, folder):
         """The weights of the best; its name and the figures of all stand in done.json, which moves with them."""
-        device, objects = choose_device(recipe.device), 1 if recipe.smoke else self.objects
-        shapes = open_shapes(recipe.shapes(folder))
-        judged = {name: choice.judge(load_network(recipe.weights(name), device), shapes, objects) for name in self.of}
+        device, shapes = choose_device(recipe.device), open_shapes(recipe.shapes(folder))
+        objects, weights = 1 if recipe.smoke else self.objects, {name: recipe.weights(name) for name in self.of}
+        judged = {name: choice.judge(load_network(path, device), shapes, objects) for name, path in weights.items()}
         best = max(judged, key=lambda name: judged[name]["score"])
         shutil.copyfile(recipe.weights(best), folder / "weights.safetensors")
-        recipe.log(json.dumps(report := {"best": best, "judged": judged}))
-        return report
+        recipe.log(json.dumps({"best": best, "judged": judged}))
+        return {"best": best, "judged": judged}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -406,9 +404,8 @@ class Recipe:
     def has_read(self, stage, name):
         """Whether a training stage or a choice no longer needs another one: it is done, or has weights of its own and began with that one's."""
         has = [(self.run_dir / stage.name / file).exists() for file in ("done.json", "last.pt", Moved.NAME)]
-        if isinstance(stage, ChoiceStage):
-            return has[0]
-        return isinstance(stage, ObjectStage | SceneStage) and (has[0] or (stage.init == name and any(has)))
+        trains = isinstance(stage, ObjectStage | SceneStage) and (has[0] or (stage.init == name and any(has)))
+        return trains or (isinstance(stage, ChoiceStage) and has[0])
 
     def in_time(self, name):
         """The minutes that are left, 0 without a limit. Raises TimeSpent if none are left."""
@@ -455,13 +452,6 @@ class Recipe:
         text = json.dumps(report)
         path.write_text(text)
         self.log(text)
-
-
-def processor():
-    """The name of this machine's processor, and what PyTorch says of its bfloat16."""
-    capabilities = getattr(torch.cpu, "get_capabilities", dict)()
-    bfloat16 = [name for name in ("amx_bf16", "avx512_bf16") if capabilities.get(name)]
-    return " ".join([str(capabilities.get("cpu_name") or platform.machine()), *bfloat16])
 
 
 def main(argv=None):
