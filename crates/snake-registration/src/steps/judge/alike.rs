@@ -15,19 +15,19 @@ use snake_geometry::{Vector, vector};
 /// Number of places that are compared with all others at once: a map has many.
 const CHUNK: usize = 64;
 
-/// The motions of a cloud onto itself on which a good share of the matches of its descriptors with its own
-/// places elsewhere agree, the best supported first; `signed` as in [`describe_cloud`]. The cloud keeps them.
-pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[IsometryMatrix3<f64>]> {
+/// The motions of a cloud onto itself on which matches of its descriptors with its own places elsewhere agree,
+/// each with the share of the matches, the best supported first; `signed` as in [`describe_cloud`]. The cloud
+/// keeps them.
+pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[(IsometryMatrix3<f64>, f64)]> {
     let slot = &cloud.self_motions[usize::from(signed)];
     if slot.get().is_none() {
         let (pair, control) = (Pair::new(cloud, cloud, None), Control::default());
         let pair = if signed { pair } else { pair.without_signs() };
         let indices = matches_elsewhere(cloud, &describe_cloud(cloud, signed, &control)?);
         let matches = pair.matches(&indices)?;
-        let least = TUNING.min_self_support * matches.len() as f64;
-        let mut motions = consensus(&matches, pair.criteria(), TUNING.self_motions, &control)?;
-        motions.retain(|motion| inliers(&matches, motion.isometry(), pair.criteria()).0 as f64 >= least);
-        slot.get_or_init(|| motions.iter().map(|motion| *motion.isometry()).collect());
+        let motions = consensus(&matches, pair.criteria(), TUNING.self_motions, &control)?;
+        let support = |motion| inliers(&matches, motion, pair.criteria()).0 as f64 / matches.len().max(1) as f64;
+        slot.get_or_init(|| motions.iter().map(|motion| (*motion.isometry(), support(motion.isometry()))).collect());
     }
     Ok(slot.get().map(Vec::as_slice).unwrap_or_default())
 }
@@ -96,7 +96,8 @@ mod tests {
         let motions = self_motions(cloud, false).unwrap();
         let is_found = |wanted: &IsometryMatrix3<f64>, points: &[Vector]| {
             let error = |found| displacement(found, wanted, points);
-            motions.iter().map(error).fold(f64::INFINITY, f64::min) < cloud.lengths.inlier_distance
+            motions.iter().map(|(motion, _)| error(motion)).fold(f64::INFINITY, f64::min)
+                < cloud.lengths.inlier_distance
         };
         let there: Vec<Vector> = part.iter().map(|point| moved(&motion, point)).collect();
         assert!(is_found(&motion, &part) || is_found(&motion.inverse(), &there), "{motions:?}");

@@ -31,6 +31,21 @@ pub(super) struct Evidence<'a> {
     pub(super) lead: Option<f64>,
 }
 
+/// A column of the logistic regression, weighed.
+struct Term {
+    value: f64,
+    /// Its greatest value.
+    most: f64,
+    /// What it says where it is low.
+    words: String,
+}
+
+impl Term {
+    fn missing(&self) -> f64 {
+        self.most - self.value
+    }
+}
+
 /// Whether a transform fits about as well as the best; each comes with the number of matches that
 /// agree.
 pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
@@ -65,6 +80,59 @@ impl Evidence<'_> {
         self.matches.spread / self.fit.inlier_distance
     }
 
+    /// What the logistic regression weighs.
+    fn terms(&self) -> [Term; 6] {
+        let log = |count: usize| (1.0 + count as f64).ln();
+        let Matches { num_agreeing, num_rival_agreeing, .. } = *self.matches;
+        let (agreeing, rival) = (log(num_agreeing), log(num_rival_agreeing));
+        let term = |weight: f64, value: f64, [least, most]: [f64; 2], words: String| Term {
+            value: weight * value.clamp(least, most),
+            most: (weight * most).max(weight * least),
+            words,
+        };
+        let about_zero = |limit: f64| [-limit, limit];
+        let (lead, max_lead) = self.lead.map_or((0.0, 0.0), |lead| (lead, TUNING.max_lead));
+        let (violation, spread) = (self.violation, self.match_spread());
+        [
+            term(
+                TUNING.log_agreeing_weight,
+                agreeing,
+                [0.0, TUNING.max_agreeing.ln()],
+                format!("only {num_agreeing} matches agree"),
+            ),
+            term(
+                TUNING.log_ratio_weight,
+                agreeing - rival,
+                about_zero(TUNING.max_log_ratio),
+                format!("{num_rival_agreeing} matches agree with another transform"),
+            ),
+            term(
+                TUNING.slide_margin_weight,
+                self.slide_margin,
+                about_zero(TUNING.max_slide_margin),
+                format!("the overlap falls by only {:.3} along the direction that is fixed least", self.slide_margin),
+            ),
+            term(
+                TUNING.match_spread_weight,
+                spread,
+                [0.0, TUNING.max_match_spread],
+                format!("the matches that agree spread by only {spread:.2} inlier distances"),
+            ),
+            term(
+                TUNING.violation_weight,
+                violation,
+                [0.0, 1.0],
+                format!("{:.1} % of the voxels lie where the other sensor saw through", 100.0 * violation),
+            ),
+            term(
+                TUNING.lead_weight,
+                lead,
+                about_zero(max_lead),
+                format!("the next transform is worse by only {lead:.3}"),
+            ),
+        ]
+    }
+
     /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open,
     /// and falls towards it. Another transform that fits about as well halves it, and keeps it
     /// below 0.5.
@@ -72,15 +140,7 @@ impl Evidence<'_> {
         if self.num_open > 0 {
             return 0.0;
         }
-        let log = |count: usize| (1.0 + count as f64).ln();
-        let (agreeing, rival) = (log(self.matches.num_agreeing), log(self.matches.num_rival_agreeing));
-        let sum = TUNING.bias
-            + TUNING.log_agreeing_weight * agreeing.min(TUNING.max_agreeing.ln())
-            + TUNING.log_ratio_weight * (agreeing - rival).clamp(-TUNING.max_log_ratio, TUNING.max_log_ratio)
-            + TUNING.slide_margin_weight * self.slide_margin.clamp(-TUNING.max_slide_margin, TUNING.max_slide_margin)
-            + TUNING.match_spread_weight * self.match_spread().min(TUNING.max_match_spread)
-            + TUNING.violation_weight * self.violation
-            + TUNING.lead_weight * self.lead.unwrap_or_default().clamp(-TUNING.max_lead, TUNING.max_lead);
+        let sum = self.terms().iter().fold(TUNING.bias, |sum, term| sum + term.value);
         let unrivalled = (self.weakest_constraint / TUNING.doubtful_constraint).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival || self.is_repeated() {
             (unrivalled / 2.0).min(TUNING.max_doubtful)
@@ -120,6 +180,10 @@ impl Evidence<'_> {
         }
         if self.lies_apart() {
             notes.push("the surfaces lie apart: the points are finer than the distance between them".into());
+        }
+        if notes.is_empty() && self.confidence() < TUNING.reliable {
+            let worst = self.terms().into_iter().max_by(|a, b| a.missing().total_cmp(&b.missing()));
+            notes.extend(worst.map(|term| format!("not reliable, above all because {}", term.words)));
         }
         notes
     }
@@ -206,5 +270,7 @@ mod tests {
         assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
         assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
         assert!(note(|_, _, e| e.coinciding = Some(0.7)).contains("lie apart"));
+        assert!(note(|_, _, e| e.violation = 0.2).contains("above all because 20.0 % of the voxels"));
+        assert!(note(|_, m, e| (m.num_agreeing, e.slide_margin) = (10, 0.0)).contains("because"));
     }
 }

@@ -104,7 +104,9 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     verdict.notes.splice(0..0, contradicted.map(standing_note));
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
     verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
-    verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(verdict.repeat_fit, f64::max);
+    // Finer voxels would not tell which part moved.
+    let at_rest = if together.is_some() { 1.0 } else { verdict.repeat_fit };
+    verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     verdict.notes.splice(0..0, equal.iter().map(|rival| rival.note(transform)));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());

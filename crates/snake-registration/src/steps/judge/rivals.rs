@@ -193,17 +193,26 @@ impl<'a, 'b> Fitting<'a, 'b> {
         Self { pair, winner, coarse, best_fit, is_standing }
     }
 
-    /// The winner before or after each motion under which a cloud looks like itself, or its inverse.
+    /// The winner before or after each motion under which a cloud looks like itself, or its inverse. Where the
+    /// sensors are at one place and one pattern of rays hides that the scene looks alike, any of its motions
+    /// will do.
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
-        let motions = |cloud: usize| self_motions(self.pair.clouds()[cloud], self.pair.is_signed());
-        let of_source = motions(0)?.iter().flat_map(|motion| [winner * motion, winner * motion.inverse()]);
-        let of_target = motions(1)?.iter().flat_map(|motion| [motion * winner, motion.inverse() * winner]);
+        let [min_support, least] =
+            if self.is_standing { [0.0, TUNING.min_shift] } else { [TUNING.min_self_support, TUNING.elsewhere] };
+        let motions = |cloud: usize| {
+            let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
+            let supported = motions.iter().filter(|(_, support)| *support >= min_support);
+            Ok::<_, snake_core::Error>(
+                supported.flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
+            )
+        };
+        let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
+        let from_target = motions(1)?.into_iter().map(|motion| motion * winner);
         let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
-        for guess in of_target.chain(of_source) {
+        for guess in from_target.chain(from_source) {
             let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
-            let is_elsewhere = displacement(&guess, winner, &self.coarse) > TUNING.elsewhere * distance;
-            if is_elsewhere && guesses.iter().all(differs) {
+            if displacement(&guess, winner, &self.coarse) > least * distance && guesses.iter().all(differs) {
                 guesses.push(guess);
             }
         }
@@ -217,7 +226,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let min_fit = match motion {
-            Motion::Alike => TUNING.self_fit,
+            Motion::Alike => TUNING.self_fit[usize::from(self.is_standing)],
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))

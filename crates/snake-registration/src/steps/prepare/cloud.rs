@@ -41,7 +41,7 @@ pub struct PreparedCloud {
     pub(crate) rows: [OnceLock<Vec<f32>>; 2],
     fine: OnceLock<FineCloud>,
     /// The motions under which the cloud looks like itself: of normals without a sign, and with one.
-    pub(crate) self_motions: [OnceLock<Vec<IsometryMatrix3<f64>>>; 2],
+    pub(crate) self_motions: [OnceLock<Vec<(IsometryMatrix3<f64>, f64)>>; 2],
 }
 
 impl PreparedCloud {
