@@ -243,7 +243,7 @@ def write_corpus(folder, shapes, points=8192):
     (folder / "index.json").write_text(json.dumps([{"name": f"shape-{row}"} for row in range(len(shapes))]))
 
 
-def write_carried(folder, data, validation_data, points, number):
+def write_carried(folder, data, validation_data, points=3072, number=40):
     """Corpus folders `train`, of so many points a shape, and `val`, a number of shapes evenly spaced, to carry to another machine;
     returns their size as a line."""
     held_out = open_shapes(validation_data)
