@@ -20,8 +20,9 @@ from snake_training.data.datasets import Corpus, write_carried
 from snake_training.export import Moved, load_network
 from snake_training.losses import losses_of
 from snake_training.model import SnakeNetwork
-from snake_training.recipes import ConfidenceStage, FigureStage, ObjectStage, Recipe, SceneStage, TeacherStage, main
+from snake_training.recipes import Recipe, main
 from snake_training.scene_model import SceneConfig
+from snake_training.stages import ConfidenceStage, FigureStage, ObjectStage, SceneStage, TeacherStage
 from snake_training.tasks.scenes import Scenes
 from snake_training.train import run
 
