@@ -33,8 +33,8 @@ INTRODUCTION = """# Results
 Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."` (`snake-cli eval repeatability --help` lists the
 layouts): do not edit it.
 
-Objects: the 79 of the validation that chose nothing (`judge` of `python -m snake_training.make halves`). Rooms: fragments of the 3DMatch
-benchmark, without the fifth of its pairs that overlap by less than a tenth or do not fit within 2 cm; published figures are of all pairs.
+Objects: 79 that chose nothing (`judge` of `python -m snake_training.make halves`). Rooms: 3DMatch, without the fifth of its pairs that
+overlap by less than a tenth or do not fit within 2 cm; published figures are of all pairs.
 
 The table of the README:
 

@@ -1,34 +1,22 @@
 """snake_rs.align (`pytest tests/test_alignment.py`)."""
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
+from transforms import SAMPLE, moved, rigid
 
 import snake_rs
-
-ROOT = Path(__file__).parents[1]
-
-
-def rigid(seed):
-    rng = np.random.default_rng(seed)
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    t = np.eye(4)
-    t[:3, :3], t[:3, 3] = q * np.sign(np.linalg.det(q)), rng.normal(size=3)
-    return t
 
 
 @pytest.fixture(scope="module")
 def scans():
     """Two samplings of the sample that share half of their points, with their poses, and a sphere, which fits none of them."""
-    data = (ROOT / "samples" / "plane.ply").read_bytes()
-    cloud = np.frombuffer(data.split(b"end_header\n", 1)[1], dtype="<f4").reshape(-1, 3)
     sphere = np.random.default_rng(1).normal(size=(1500, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
     poses = [rigid(2), rigid(3)]
-    kept = [cloud[np.arange(len(cloud)) % 3 != start] for start in range(2)]
-    clouds = [points @ pose[:3, :3].T + pose[:3, 3] for points, pose in zip(kept, poses, strict=True)]
+    kept = [SAMPLE[np.arange(len(SAMPLE)) % 3 != start] for start in range(2)]
+    clouds = [moved(pose, points) for points, pose in zip(kept, poses, strict=True)]
     return [clouds[0], sphere, clouds[1]], poses
 
 

@@ -13,12 +13,9 @@ BENCH = Path(__file__).parent / "bench"
 sys.path.insert(0, str(BENCH))
 
 import made_pairs
+from transforms import moved
 
 from snake_training.data.solids import CUBE, Solids
-
-
-def moved(t, points):
-    return points @ t[:3, :3].T + t[:3, 3]
 
 
 def is_rigid(t):

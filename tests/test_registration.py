@@ -1,44 +1,27 @@
 """snake_rs.register and its parts; FPFH and normals against Open3D (`pytest tests/test_registration.py`)."""
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
+from transforms import SAMPLE, moved, rigid
 
 import snake_rs
-
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
 def cloud():
-    """The sample, (4096, 3) float32, read from binary PLY."""
-    data = (ROOT / "samples" / "plane.ply").read_bytes()
-    return np.frombuffer(data.split(b"end_header\n", 1)[1], dtype="<f4").reshape(-1, 3).copy()
-
-
-def transform(seed=0):
-    """A random rotation and a translation, (4, 4)."""
-    rng = np.random.default_rng(seed)
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    t = np.eye(4)
-    t[:3, :3], t[:3, 3] = q * np.sign(np.linalg.det(q)), rng.normal(size=3)
-    return t
-
-
-def moved(t, points):
-    return points @ t[:3, :3].T + t[:3, 3]
+    return SAMPLE.copy()
 
 
 @pytest.fixture(scope="module")
 def found(cloud):
-    return snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]))
+    return snake_rs.register(cloud[:2048], moved(rigid(), cloud[2048:]))
 
 
 def test_register_finds_the_transform(cloud, found):
     assert found.t_target_source.shape == (4, 4) and found.t_target_source.dtype == np.float64
-    assert np.abs(moved(found.t_target_source, cloud) - moved(transform(), cloud)).max() < 0.05
+    assert np.abs(moved(found.t_target_source, cloud) - moved(rigid(), cloud)).max() < 0.05
     matches, fit = found.matches, found.fit
     assert 3 <= matches.num_inliers <= matches.num_matches and 3 <= matches.num_agreeing <= matches.num_matches
     assert 0 < matches.rmse < 0.1 and matches.spread > 0 and found.seconds > 0
@@ -63,7 +46,7 @@ def values(result):
 
 
 def test_results_can_be_pickled(cloud, found):
-    many = snake_rs.register(cloud[:2048], moved(transform(), cloud[2048:]), hypotheses=5)
+    many = snake_rs.register(cloud[:2048], moved(rigid(), cloud[2048:]), hypotheses=5)
     for result in (found, many):
         assert values(pickle.loads(pickle.dumps(result))) == values(result)
     assert len(values(found)) == 25
@@ -74,7 +57,7 @@ def test_results_can_be_pickled(cloud, found):
 
 def test_a_prepared_map_registers_scans_and_can_be_pickled(cloud):
     lengths = {"voxel_size": 0.05, "normal_radius": 0.1, "feature_radius": 0.25, "inlier_distance": 0.075}
-    scan, floor = moved(transform(), cloud[:2048]), cloud[2048:] + [700_000.0, 5_000_000, 0]
+    scan, floor = moved(rigid(), cloud[:2048]), cloud[2048:] + [700_000.0, 5_000_000, 0]
     prepared = snake_rs.PreparedMap(floor, **lengths)
     once = snake_rs.register(scan, floor, **lengths)
     for one in (prepared, pickle.loads(pickle.dumps(prepared))):
@@ -90,7 +73,7 @@ def test_a_prepared_map_registers_scans_and_can_be_pickled(cloud):
 
 def test_model_and_options_reach_the_core(cloud, found):
     again = {"model": snake_rs.Model.builtin(), "voxel_size": None, "seed": np.int64(0)}
-    args = (cloud[:2048], moved(transform(), cloud[2048:]))
+    args = (cloud[:2048], moved(rigid(), cloud[2048:]))
     assert np.array_equal(snake_rs.register(*args, **again).t_target_source, found.t_target_source)
     for options in ({"detector": "iss"}, {"descriptor": "field"}, {"icp_steps": 0}, {"feature_radius": 0.5}):
         other = snake_rs.register(*args, **(again | options))
@@ -103,13 +86,13 @@ def test_model_and_options_reach_the_core(cloud, found):
 
 
 def test_keypoints_of_surface_variation_register_a_moved_copy(cloud):
-    moved_copy = snake_rs.register(cloud, moved(transform(), cloud), detector="surface-variation")
-    assert np.abs(moved(moved_copy.t_target_source, cloud) - moved(transform(), cloud)).max() < 0.01
+    moved_copy = snake_rs.register(cloud, moved(rigid(), cloud), detector="surface-variation")
+    assert np.abs(moved(moved_copy.t_target_source, cloud) - moved(rigid(), cloud)).max() < 0.01
     assert moved_copy.matches.num_matches < 100  # voxels, the default, have thousands
 
 
 def test_few_keypoints_are_spread(cloud):
-    truth = transform()
+    truth = rigid()
     few = snake_rs.register(cloud[:2048], moved(truth, cloud[2048:]), num_keypoints=250)
     assert np.abs(moved(few.t_target_source, cloud) - moved(truth, cloud)).max() < 0.05
     assert 3 <= few.matches.num_matches <= 500
@@ -124,7 +107,7 @@ def test_endless_and_nested_values_are_refused(cloud):
 
 
 def test_guess_axis_and_viewpoints(cloud, found):
-    truth = transform()
+    truth = rigid()
     guessed = snake_rs.register(cloud[:2048], moved(truth, cloud[2048:]), initial=truth, hypotheses=3)
     assert np.abs(moved(guessed.t_target_source, cloud) - moved(truth, cloud)).max() < 0.05
     assert np.array_equal(guessed.hypotheses[0], guessed.t_target_source) and guessed.fit.information.shape == (6, 6)
@@ -179,7 +162,7 @@ def test_normals_and_fpfh_are_those_of_open3d(cloud, seed):
     o3d = pytest.importorskip(
         "open3d", reason="open3d is not installed; tests/data/fpfh has a stored case", exc_type=ImportError
     )
-    points = moved(transform(seed), cloud[seed::2]).astype(np.float32)
+    points = moved(rigid(seed), cloud[seed::2]).astype(np.float32)
     pc = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(float)))
     pc.estimate_normals(o3d.geometry.KDTreeSearchParamRadius(0.1))
     pc.orient_normals_towards_camera_location(points.astype(float).mean(0))

@@ -39,39 +39,17 @@ def open3d_multiway(
     downs = [peers.with_normals(points, size, to_origin=True) for points in clouds]
     features = [peers.fpfh(down, size) for down in downs]
     distance = 1.5 * size
-    checkers = [
-        registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-        registration.CorrespondenceCheckerBasedOnDistance(distance),
-    ]
     graph = registration.PoseGraph()
     pose = np.eye(4)
     graph.nodes.append(registration.PoseGraphNode(pose))
     following = {(source, source + 1) for source in range(len(clouds) - 1)}
     for source, target in tqdm(sorted(following | pairs), "Open3D"):
         is_next = target == source + 1
-        o3d.utility.random.seed(0)
-        rough = registration.registration_ransac_based_on_feature_matching(
-            downs[source],
-            downs[target],
-            features[source],
-            features[target],
-            True,
-            distance,
-            registration.TransformationEstimationPointToPoint(False),
-            3,
-            checkers,
-            registration.RANSACConvergenceCriteria(100000, 0.999),
-        )
-        found = registration.registration_icp(
-            downs[source],
-            downs[target],
-            distance,
-            rough.transformation,
-            registration.TransformationEstimationPointToPlane(),
-        )
-        information = registration.get_information_matrix_from_point_clouds(
-            downs[source], downs[target], distance, found.transformation
-        )
+        both = downs[source], downs[target]
+        rough = peers.ransac(both, [features[source], features[target]], distance)
+        to_plane = registration.TransformationEstimationPointToPlane()
+        found = registration.registration_icp(*both, distance, rough.transformation, to_plane)
+        information = registration.get_information_matrix_from_point_clouds(*both, distance, found.transformation)
         # As in Open3D's reconstruction system, a loop closure has 30 % of the smaller cloud as inliers.
         least = 0.3 * min(len(downs[source].points), len(downs[target].points))
         if is_next:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from verdict_pairs import box, lidar
+from verdict_pairs import box, houses, lidar
 
 from snake_training.data.solids import Solids, about_axis, scan
 from snake_training.data.worlds import any_turn
@@ -71,12 +71,7 @@ def street(rng: np.random.Generator) -> Solids:
     """A street along the x axis in metres: buildings, cars and poles on z = 0."""
     world = Solids()
     for side in (-1, 1):
-        x = -90.0
-        while x < 100:
-            length, setback, depth, height = rng.uniform([8, 6, 6, 4], [25, 12, 15, 18])
-            y = sorted((side * setback, side * (setback + depth)))
-            box(world, [x, y[0], 0], [x + length, y[1], height])
-            x += length + rng.uniform(0, 8)
+        houses(world, rng, side, -90.0, ([8, 6, 6, 4], [25, 12, 15, 18]))
         for at in rng.uniform(-80, 90, 12):
             y = side * rng.uniform(3, 5)
             box(world, [at, y - 0.9, 0], [at + 4.2, y + 0.9, 1.5])

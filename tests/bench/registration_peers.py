@@ -43,27 +43,26 @@ def icp(source: np.ndarray, target: np.ndarray, rough: np.ndarray) -> tuple[np.n
     return found.transformation, found.fitness
 
 
+def ransac(clouds: list, features: list, distance: float) -> registration.RegistrationResult:
+    """RANSAC over matches of two clouds' features that lie within a distance of each other."""
+    checkers = [
+        registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+        registration.CorrespondenceCheckerBasedOnDistance(distance),
+    ]
+    estimation = registration.TransformationEstimationPointToPoint(False)
+    criteria = registration.RANSACConvergenceCriteria(100000, 0.999)
+    o3d.utility.random.seed(0)
+    return registration.registration_ransac_based_on_feature_matching(
+        *clouds, *features, True, distance, estimation, 3, checkers, criteria
+    )
+
+
 def open3d_rough(source, target, voxel_size: float, method: str, to_origin: bool) -> np.ndarray:
     """FPFH with RANSAC or with fast global registration, by the options of Open3D's tutorial."""
     clouds = [with_normals(points, voxel_size, to_origin) for points in (source, target)]
     features = [fpfh(down, voxel_size) for down in clouds]
     if method == "ransac":
-        distance = 1.5 * voxel_size
-        checkers = [
-            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-            registration.CorrespondenceCheckerBasedOnDistance(distance),
-        ]
-        o3d.utility.random.seed(0)
-        return registration.registration_ransac_based_on_feature_matching(
-            *clouds,
-            *features,
-            True,
-            distance,
-            registration.TransformationEstimationPointToPoint(False),
-            3,
-            checkers,
-            registration.RANSACConvergenceCriteria(100000, 0.999),
-        ).transformation
+        return ransac(clouds, features, 1.5 * voxel_size).transformation
     o3d.utility.random.seed(0)
     option = registration.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * voxel_size)
     return registration.registration_fgr_based_on_feature_matching(*clouds, *features, option).transformation

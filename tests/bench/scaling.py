@@ -4,7 +4,6 @@ Seconds of each stage of detection against points, voxels, queries and refinemen
 seeded random weights (see `tests/bench/speed.py`). The numbers go to a .csv file beside the plot.
 """
 
-import argparse
 import csv
 import os
 from pathlib import Path
@@ -13,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from speed import STAGES, alternate, machine, run_snake_rs, seeded_network
 
+from snake_training.arguments import option, parser_of
 from snake_training.data import Procedural
 from snake_training.evaluate import DetectOptions
 from snake_training.export import write_weights
@@ -109,17 +109,15 @@ def plot(path, rows, title):
 
 def main(argv=None):
     """Measures, prints the table with fitted exponents, writes plot and numbers."""
-    parser = argparse.ArgumentParser(
-        prog="python tests/bench/scaling.py",
-        description=__doc__,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True, help="plot (.svg); the numbers go beside it")
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--runs", type=int, default=3, help="counted runs of each, after one that is not")
+    options = {
+        "-o": dict(dest="output", type=Path, required=True, help="plot (.svg); the numbers go beside it"),
+        "--threads": option(os.cpu_count(), "of the program"),
+        "--runs": option(3, "counted runs of each, after one that is not"),
+    }
+    parser = parser_of("", __doc__, options, prog="python tests/bench/scaling.py")
     arguments = parser.parse_args(argv)
     if arguments.output.suffix != ".svg":
-        parser.error(f"--output {arguments.output} must end in .svg")
+        parser.error(f"-o {arguments.output} must end in .svg")
     if arguments.threads < 1 or arguments.runs < 1:
         parser.error("--threads and --runs must be 1 or more")
     os.environ["RAYON_NUM_THREADS"] = str(arguments.threads)

@@ -5,14 +5,11 @@ fitted so that as many queries pass each threshold as on a typical object. Peers
 counted; `pip install snake-training[bench]` has them all.
 """
 
-import argparse
 import functools
 import json
 import os
 import platform
 import shutil
-import subprocess
-import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
@@ -26,11 +23,13 @@ import numpy as np
 import torch
 from speed_peers import open3d_iss, unet_peers
 
+from snake_training.arguments import option, parser_of
 from snake_training.augment import normalize
 from snake_training.data import Procedural
 from snake_training.evaluate import DetectOptions, near_points, query_grid, refine, select
 from snake_training.export import write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork, voxel_index
+from snake_training.times import measured
 
 PACKAGES = ("snake-rs", "torch", "onnxruntime", "openvino", "open3d")
 STAGES = ("encode", "occupancy", "refine", "nms", "total")
@@ -238,19 +237,6 @@ def compare_threads(weights, points, options, threads, runs):
     return rows, {f"1 / {threads} threads": {stage: one[stage] / several[stage] for stage in STAGES}}
 
 
-def peak_memory(command):
-    """Largest resident memory of a command in MiB.
-
-    A small process starts it: on Linux a child that large processes start begins with their peak.
-    """
-    script = (
-        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL); "
-        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
-    )
-    output = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True).stdout
-    return int(output) / (2**20 if sys.platform == "darwin" else 2**10)  # macOS counts bytes, Linux KiB
-
-
 def measure_memory(weights, cloud, threads):
     """Peak MiB of `snake-cli detect` on a cloud with the network and with the built-in model; empty without it."""
     built = Path(__file__).parents[2] / "target/release/snake-cli"
@@ -258,10 +244,7 @@ def measure_memory(weights, cloud, threads):
     if binary is None:
         return {}
     detect = [binary, "detect", cloud, "--threads", str(threads)]
-    return {
-        "the network": peak_memory([*detect, "--model", weights]),
-        "built-in model": peak_memory(detect),
-    }
+    return {"the network": measured([*detect, "--model", weights])[1], "built-in model": measured(detect)[1]}
 
 
 def machine():
@@ -376,16 +359,14 @@ def text(report):
 
 def main(argv=None):
     """Prints the tables of each level of instructions, and writes the same as JSON."""
-    parser = argparse.ArgumentParser(
-        prog="python tests/bench/speed.py",
-        description=__doc__,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="threads of each")
-    parser.add_argument("--runs", type=int, default=5, help="counted runs of each, after one that is not")
-    parser.add_argument("--num-points", type=int, default=4096)
-    parser.add_argument("--occupied", type=int, default=12000, help="occupied grid queries, of 64^3")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the report there as well")
+    options = {
+        "--threads": option(os.cpu_count(), "threads of each"),
+        "--runs": option(5, "counted runs of each, after one that is not"),
+        "--num-points": option(4096, "points of the cloud"),
+        "--occupied": option(12000, "occupied grid queries, of 64^3"),
+        "--json": dict(metavar="FILE", type=Path, help="write the report there as well"),
+    }
+    parser = parser_of("", __doc__, options, prog="python tests/bench/speed.py")
     arguments = parser.parse_args(argv)
     for name, most in (("threads", 1024), ("runs", 1000), ("num_points", 10**7), ("occupied", 64**3 // 2)):
         if not 1 <= getattr(arguments, name) <= most:

@@ -225,16 +225,20 @@ def room_view(rng: np.random.Generator) -> np.ndarray:
     return scan(made.world, towards(at, made.size * rng.random(3)), camera(), 0.004, 10.0, rng)
 
 
+def houses(world: Solids, rng: np.random.Generator, side: int, x: float, sizes: tuple[list, list]) -> None:
+    """Houses at a side of a street from x to 100 m; their least and largest length, setback, depth and height."""
+    while x < 100:
+        length, setback, depth, height = rng.uniform(*sizes)
+        y = sorted((side * setback, side * (setback + depth)))
+        box(world, [x, y[0], 0], [x + length, y[1], height])
+        x += length + rng.uniform(0, 8)
+
+
 def street(rng: np.random.Generator) -> Solids:
     world = Solids()
     box(world, [-150, -150, -1], [150, 150, 0])
     for side in (-1, 1):
-        x = -100.0
-        while x < 100:
-            length, setback, depth, height = rng.uniform([6, 8, 6, 4], [25, 13, 15, 18])
-            y = sorted((side * setback, side * (setback + depth)))
-            box(world, [x, y[0], 0], [x + length, y[1], height])
-            x += length + rng.uniform(0, 8)
+        houses(world, rng, side, -100.0, ([6, 8, 6, 4], [25, 13, 15, 18]))
         for at in rng.uniform(-90, 90, 10):
             y = side * rng.uniform(4, 6.5)
             box(world, [at, y - 0.9, 0], [at + 4.2, y + 0.9, 1.5])

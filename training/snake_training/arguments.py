@@ -33,8 +33,8 @@ def add(parser, arguments):
 
 def parser_of(module, description, arguments, **words):
     """The parser of `python -m snake_training.MODULE`, with its arguments by name."""
-    program = f"python -m snake_training.{module}"
-    return add(argparse.ArgumentParser(program, description=description, formatter_class=Help, **words), arguments)
+    words = {"prog": f"python -m snake_training.{module}", "formatter_class": Help} | words
+    return add(argparse.ArgumentParser(description=description, **words), arguments)
 
 
 def check_run(parser, given):

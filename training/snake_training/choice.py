@@ -4,9 +4,9 @@ import numpy as np
 import torch
 
 from .augment import choose
-from .evaluate import DetectOptions, candidates, relative_repeatability, suppress, view_pairs
+from .evaluate import DetectOptions, detect, relative_repeatability, view_pairs
 
-OPTIONS = DetectOptions(query_band=1, refine_steps=0, saliency_threshold=0.0)
+OPTIONS = DetectOptions(query_band=1, refine_steps=0, saliency_threshold=0.0, nms_radius=0.1)
 COVERAGE, EPSILON = 0.145, 0.04  # radii of the cloud
 CONDITIONS = {"clean": (1, 0.0), "thinned": (8, 0.0), "noise": (1, 0.06)}  # one point of so many, standard deviation
 
@@ -14,19 +14,23 @@ CONDITIONS = {"clean": (1, 0.0), "thinned": (8, 0.0), "noise": (1, 0.06)}  # one
 def judge(network, shapes, objects, coverage=COVERAGE):
     """The repeatability at EPSILON of clean, thinned and noisy views of so many shapes, and their mean, `score`.
 
-    Suppression has the one radius at which the clean views reach the coverage, so that dense and sparse networks compare.
+    Each cloud has as many keypoints, the fewest with which the clean views reach the coverage, so that networks compare; a network
+    that does not reach it has them all.
     """
     pairs = list(view_pairs(shapes, objects, 5000, 0))
     found = {
-        name: [[candidates(network, under(view, condition), OPTIONS) for view in pair[:2]] for pair in pairs]
+        name: [[detect(network, under(view, condition), OPTIONS) for view in pair[:2]] for pair in pairs]
         for name, condition in CONDITIONS.items()
     }
-    clean = [(torch.from_numpy(pair[0]), both[0]) for pair, both in zip(pairs, found["clean"])]
-    radius = radius_of_coverage(clean, coverage)
-    report = {"radius": radius, "coverage": covered(clean, radius)}
-    for name, some in found.items():
-        kept = [[strongest(view, radius).numpy() for view in both] for both in some]
-        shares = [relative_repeatability(*both, pair[2], (EPSILON,))[0] for both, pair in zip(kept, pairs, strict=True)]
+    clean = [(torch.from_numpy(pair[0]), torch.from_numpy(both[0])[:, :3]) for pair, both in zip(pairs, found["clean"])]
+    reached = coverage_by_number(clean)
+    number = min(int((reached > coverage).sum()) + 1, len(reached))
+    report = {"keypoints": number, "coverage": reached[number - 1].item()}
+    for name, views in found.items():
+        shares = [
+            relative_repeatability(first[:number], second[:number], rotation, (EPSILON,))[0]
+            for (first, second), (_, _, rotation) in zip(views, pairs, strict=True)
+        ]
         report[name] = float(np.mean(shares))
     report["score"] = float(np.mean([report[name] for name in CONDITIONS]))
     return {name: round(value, 4) for name, value in report.items()}
@@ -41,30 +45,11 @@ def under(points, condition):
     ).astype(np.float32)
 
 
-def strongest(found, radius):
-    """The best of ranked candidates (K, 4) after suppression."""
-    return found[suppress(found[:, :3], radius, OPTIONS.max_keypoints)]
-
-
-def covered(clouds, radius):
-    """The mean distance of the points of clouds (points (N, 3), candidates (K, 4)) to their nearest keypoint; infinite if no cloud
-    has one."""
-    each = [
-        torch.cdist(points, strongest(found, radius)[:, :3]).amin(dim=1).mean().item()
-        for points, found in clouds
-        if len(found)
-    ]
-    return float(np.mean(each)) if each else float("inf")
-
-
-def radius_of_coverage(clouds, coverage):
-    """The smallest radius of suppression, to a hundredth, that reaches the coverage, or the one that comes nearest to it."""
-    reached = {radius: covered(clouds, radius) for radius in np.linspace(0.0, 0.3, 16).tolist()}
-    enough = [radius for radius, value in reached.items() if value <= coverage]
-    if not enough:
-        return min(reached, key=reached.get)
-    low, high = max(enough[0] - 0.02, 0.0), enough[0]
-    while high - low > 0.002:
-        middle = (low + high) / 2
-        low, high = (low, middle) if covered(clouds, middle) <= coverage else (middle, high)
-    return high
+def coverage_by_number(clouds):
+    """The mean distance of the points of clouds (points (N, 3), ranked keypoints (K, 3)) to the nearest of their best 1, 2, ..
+    `max_keypoints`; a cloud with fewer has all of them, one without counts with its radius, 1."""
+    each = []
+    for points, ranked in clouds:
+        nearest = torch.cdist(points, ranked).cummin(dim=1).values.mean(dim=0) if len(ranked) else torch.ones(1)
+        each.append(torch.cat([nearest, nearest[-1:].expand(OPTIONS.max_keypoints - len(nearest))]))
+    return torch.stack(each).mean(dim=0)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import safe_open
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save, save_file
 from scipy.spatial import cKDTree
 
 from .arguments import option, parser_of
@@ -117,15 +117,26 @@ def write_map(path, knots):
         save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(knots)})
 
 
+def unfiltered(path):
+    """The model of a weight file without the `min_confidence` that it recommends: the map is fitted to all keypoints, and a file
+    without a map refuses that option."""
+    import snake_rs
+
+    with safe_open(path, "numpy") as file:
+        metadata = file.metadata()
+    options = json.loads(metadata.get("recommended_options") or "{}")
+    if options.get("detect", {}).pop("min_confidence", None) is None:
+        return snake_rs.Model.load(path)
+    return snake_rs.Model.from_bytes(save(load_file(path), metadata | {"recommended_options": json.dumps(options)}))
+
+
 def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, rotations=(1,), write=True):
     """Fits the map of a weight file and writes it there; returns the knots, and of each set of clouds the number of keypoints, the
     share that is found again, and the calibration error. Without keypoints there is no map, and no knots.
 
     objects: a corpus folder or a folder of clouds, each measured with all `rotations`. pairs, test: folders of scenes.
     """
-    import snake_rs
-
-    model = snake_rs.Model.load(path)
+    model = unfiltered(path)
     sets = {str(folder): of_pairs(model, Path(folder), number) for folder in pairs}
     if objects:
         shapes = open_shapes(objects)

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import platform
 import time
 
 import torch
@@ -68,3 +69,10 @@ def convolution_seconds(dtype):
         F.conv3d(volume, weight, padding=1).sum().backward()
         seconds.append(time.perf_counter() - started)
     return min(seconds)
+
+
+def processor():
+    """The name of this machine's processor, and what PyTorch says of its bfloat16."""
+    capabilities = getattr(torch.cpu, "get_capabilities", dict)()
+    bfloat16 = [name for name in ("amx_bf16", "avx512_bf16") if capabilities.get(name)]
+    return " ".join([str(capabilities.get("cpu_name") or platform.machine()), *bfloat16])

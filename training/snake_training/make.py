@@ -51,6 +51,7 @@ KINDS = {
         FOLDER | {
             "data": dict(help="folder to learn from"), "validation_data": dict(help="folder to choose by, such as halves/choose"),
             "--points": option(3072, "of a shape to learn from"),
+            "--number": option(40, "of shapes to choose by"),
         },
     ),
     "corpus": (

@@ -29,18 +29,26 @@ print(json.dumps([done.stdout, memory]))
 """
 
 
+def measured(words):
+    """The output of a command, and its largest resident memory in MiB.
+
+    A small process starts it: its children's memory is that of the largest one, and on Linux a child that a large process
+    starts begins with that one's peak.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, *map(str, words)], check=True, stdout=subprocess.PIPE, text=True
+    )
+    output, memory = json.loads(done.stdout)
+    return output, memory / 2**20
+
+
 def detect(files, model, steps, threads):
     """Median seconds a cloud and the most memory in MiB of `snake-cli detect` on files of points."""
     command = [os.environ.get("SNAKE_CLI", "snake-cli"), "detect", *files, "--model", model, "--json"]
     command += ["--set", f"refine_steps={steps}", *(["--threads", threads] if threads else [])]
-    # A process of its own runs the program: the memory of children is the most of all that have ended.
-    words = [sys.executable, "-c", CHILD, *map(str, command)]
-    done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
-    lines, memory = json.loads(done.stdout)
+    lines, memory = measured(command)
     stages = [json.loads(line)["timing_seconds"] for line in lines.splitlines()]
-    return np.median(
-        [sum(row[name] for name in ("encode", "occupancy", "refine", "nms")) for row in stages]
-    ), memory / 2**20
+    return np.median([sum(row[name] for name in ("encode", "occupancy", "refine", "nms")) for row in stages]), memory
 
 
 def iss(clouds):

@@ -9,6 +9,7 @@ import torch
 
 from snake_training import choice, tuning
 from snake_training.data import Procedural
+from snake_training.evaluate import select
 from snake_training.tuning import TRIALS, Tuner
 
 
@@ -48,28 +49,28 @@ def test_what_is_tried_changes_the_network_little_and_goes_off_again(network, na
     assert all(torch.equal(tensor, weights[name]) for name, tensor in unet.state_dict().items())
 
 
-def test_a_radius_of_suppression_brings_networks_to_one_coverage():
+def test_the_number_of_keypoints_brings_networks_to_one_coverage():
     line = torch.arange(100.0)[:, None] * torch.tensor([0.01, 0.0, 0.0])
-    ranked = torch.cat([line, torch.linspace(1, 0.5, 100)[:, None]], dim=1)  # without suppression the first 64
-    radius = choice.radius_of_coverage([(line, ranked)], 0.03)
-    assert choice.covered([(line, ranked)], 0.0) > 0.06 and 0 < radius < 0.02
-    assert choice.covered([(line, ranked)], radius) <= 0.03 < choice.covered([(line, ranked)], radius - 0.01)
-    assert choice.covered([(line, ranked[:0])], 0.1) == float("inf")
+    reached = choice.coverage_by_number([(line, line[[0, 99, 50]])])
+    assert len(reached) == 64 and reached[:3].tolist() == pytest.approx([0.495, 0.245, 0.1225], abs=1e-3)
+    assert (reached[2:] == reached[2]).all()
+    assert choice.coverage_by_number([(line, line[:0]), (line, line[:64])])[63] == pytest.approx(
+        0.5 + 0.5 * 0.0666, abs=1e-4
+    )
 
 
 def test_the_network_that_finds_the_same_places_again_is_judged_better(network, monkeypatch):
     """A detector of the points that lie farthest out, which turn with the cloud, and one of those along an axis, which do not."""
 
     def detector(score):
-        def found(_network, points, _options):
+        def found(_network, points, options):
             points = torch.from_numpy(np.asarray(points, np.float32))
-            order = score(points).argsort(descending=True)
-            return torch.cat([points, score(points)[:, None]], dim=1)[order]
+            return select(points, score(points), options)
 
-        monkeypatch.setattr(choice, "candidates", found)
+        monkeypatch.setattr(choice, "detect", found)
         return choice.judge(network, Procedural(), 3, 0.3)
 
-    same, other = detector(lambda points: points.norm(dim=1)), detector(lambda points: points[:, 0])
+    same, other = detector(lambda points: points.norm(dim=1)), detector(lambda points: points[:, 0] + 2)
     assert same["coverage"] <= 0.3 and other["coverage"] <= 0.3
     assert same["score"] > other["score"] + 0.05 and same["clean"] > same["thinned"]
-    assert set(same) == {"radius", "coverage", "clean", "thinned", "noise", "score"}
+    assert set(same) == {"keypoints", "coverage", "clean", "thinned", "noise", "score"}

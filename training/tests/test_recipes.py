@@ -16,12 +16,13 @@ from snake_training import moving
 from snake_training.config import SceneTraining, check
 from snake_training.data import Procedural, write_corpus
 from snake_training.data.crops import Crops
-from snake_training.data.datasets import write_carried
+from snake_training.data.datasets import Corpus, write_carried
 from snake_training.export import Moved, load_network
 from snake_training.losses import losses_of
 from snake_training.model import SnakeNetwork
-from snake_training.recipes import ConfidenceStage, FigureStage, ObjectStage, Recipe, SceneStage, TeacherStage, main
+from snake_training.recipes import Recipe, main
 from snake_training.scene_model import SceneConfig
+from snake_training.stages import ConfidenceStage, FigureStage, ObjectStage, SceneStage, TeacherStage
 from snake_training.tasks.scenes import Scenes
 from snake_training.train import run
 
@@ -57,8 +58,8 @@ def test_the_recipe_of_the_papers_network_takes_a_quarter_of_an_hour_of_a_gpu(tm
     """Two calls on a machine without snake_rs: the first is spent at 64³, the second ends it. At most eight files come back."""
     carried, runs, pieces = tmp_path / "carried", tmp_path / "runs", tmp_path / "pieces"
     write_corpus(tmp_path / "corpus", [Procedural()[row] for row in range(2)], 500)
-    write_carried(carried, tmp_path / "corpus", tmp_path / "corpus", 300)
-    assert np.load(carried / "train/points.npy").shape == (2, 300, 3)
+    write_carried(carried, tmp_path / "corpus", tmp_path / "corpus", 300, 1)
+    assert np.load(carried / "train/points.npy").shape == (2, 300, 3) and len(Corpus(carried / "val")) == 1
     text = (RECIPES / "paper.toml").read_text()
     (tmp_path / "paper.toml").write_text(text.replace("unet_base_channels = 32", "unet_base_channels = 8"))
     data = f"{carried}/train --validation-data {carried}/val"

@@ -274,9 +274,9 @@ mod tests {
         // Two of ten points: each is drawn with probability 1/5, and one of two neighbours, or of three, with 17/45 and 24/45.
         let chances = [0.2, (17.0 / 45.0 + 24.0 / 45.0) / 2.0];
         let expected = chances.map(|chance| (0.5 - chance) / (1.0 - chance));
-        let found = beyond(&first, &[points[0], points[8]], &[0.5, 1.5]);
-        for (found, expected) in found.iter().zip(expected) {
-            assert!((found.unwrap() - expected).abs() < 1e-12, "{found:?} is not {expected}");
+        let shares = beyond(&first, &[points[0], points[8]], &[0.5, 1.5]);
+        for (share, expected) in shares.iter().zip(expected) {
+            assert!((share.unwrap() - expected).abs() < 1e-12, "{share:?} is not {expected}");
         }
         let none = beyond(&first, &[points[7], points[8]], &[0.5])[0].unwrap();
         assert!((none - (-0.25)).abs() < 1e-12, "worse than chance is below 0: {none}");

@@ -20,9 +20,9 @@ fn scan() -> (tempfile::TempDir, PathBuf) {
 
 fn detect(scan: &Path, output: &Path, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
-    let options =
-        ["--voxel-size", "0.2", "--nms-radius", "0.3", "--set", "saliency_threshold=0.01", "--max-keypoints", "5000"];
-    command.arg("detect").arg(scan).arg("-o").arg(output).args(["--tile", "3"]).args(options).args(more);
+    command.arg("detect").arg(scan).arg("-o").arg(output).args(["--tile", "3", "--voxel-size", "0.2"]);
+    command.args(["--nms-radius", "0.3", "--max-keypoints", "5000", "--min-confidence", "0"]);
+    command.args(["--set", "saliency_threshold=0.01"]).args(more);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }

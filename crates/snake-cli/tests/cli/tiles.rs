@@ -17,10 +17,10 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (input, whole, tiled) = (path("scan.xyz"), path("whole.csv"), path("tiled.csv"));
     fs::write(&input, scan()).unwrap();
-    let options =
-        ["--voxel-size", "0.2", "--nms-radius", "0.3", "--set", "saliency_threshold=0.01", "--max-keypoints", "5000"];
+    let few = ["--voxel-size", "0.2", "--nms-radius", "0.3", "--max-keypoints", "5000"];
+    let options = [&few[..], &["--set", "saliency_threshold=0.01", "--min-confidence", "0"]].concat();
     let run = |arguments: &[&str]| {
-        let output = snake(&[&["detect", &input][..], arguments, &options].concat());
+        let output = snake(&[&["detect", &input][..], arguments, &options[..]].concat());
         (output.status.code(), stderr(&output))
     };
     assert_eq!(run(&["-o", &whole]).0, Some(0));
@@ -68,7 +68,7 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
         let output = std::process::Command::new("sh")
             .args(["-c", &limited, program, "detect", &input])
             .args(in_folder)
-            .args(options)
+            .args(&options)
             .output()
             .unwrap();
         let error = stderr(&output);

@@ -114,8 +114,8 @@ mod tests {
     #[test]
     fn far_points_and_sweeps_have_a_hint() {
         let mut sweep = sphere(900, 5.0);
-        // So few that they also stand alone.
-        sweep.extend(sphere(100, 30.0));
+        // So few that they also stand alone; at one distance they would be missing returns.
+        sweep.extend(sphere(100, 30.0).into_iter().enumerate().map(|(i, p)| p.map(|v| v * (1.0 + 3e-4 * i as f32))));
         assert!(hint(&sweep).contains("; half of the points lie within 0.2"), "{}", hint(&sweep));
         sweep.push([31.0, 0.0, 0.0]);
         let mut other = sweep.clone();

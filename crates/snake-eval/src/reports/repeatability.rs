@@ -100,7 +100,7 @@ impl<'a> Figures<'a> {
             Statistic::over_seeds(&means, &run_shares(&runs[0]))
         };
         let epsilons = 0..repeatability.len();
-        let found = epsilons.clone().map(|i| statistic(&|row| Some(row.repeatability[i]))).collect();
+        let repeated = epsilons.clone().map(|i| statistic(&|row| Some(row.repeatability[i]))).collect();
         let beyond_chance = epsilons.map(|i| statistic(&|row| row.beyond_chance[i])).collect();
         let summary = Summary {
             title: named_with_models(method, all().map(|row| &row.models)),
@@ -110,7 +110,7 @@ impl<'a> Figures<'a> {
                 ("noise", condition.noise.into()),
             ],
             swept: vec![
-                (["repeatability", "deviation"], found),
+                (["repeatability", "deviation"], repeated),
                 (["beyond_chance", "deviation_beyond_chance"], beyond_chance),
             ],
             means: vec![

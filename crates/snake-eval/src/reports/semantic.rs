@@ -119,7 +119,7 @@ pub fn report(
     let (mut summaries, mut means) = (Vec::new(), Vec::new());
     for group in &groups {
         let rows = rows_by_run(runs, group);
-        let of_classes = |chosen: &[Option<&str>], class| {
+        let summarize_classes = |chosen: &[Option<&str>], class| {
             let class_rows = |(run, class): (usize, Option<&str>)| {
                 let shapes = rows[run].iter().zip(classes).filter(|(_, other)| **other == class);
                 shapes.map(|(row, _)| *row).collect()
@@ -129,9 +129,9 @@ pub fn report(
             summarize(&runs, class, named.is_empty())
         };
         means.push(summaries.len());
-        summaries.push(of_classes(&distinct, None)?);
+        summaries.push(summarize_classes(&distinct, None)?);
         for class in &named {
-            summaries.push(of_classes(&[*class], *class)?);
+            summaries.push(summarize_classes(&[*class], *class)?);
         }
     }
     let (over, parts) = match named.len() {

@@ -213,10 +213,10 @@ impl<'a, 'b> Fitting<'a, 'b> {
                 supported.flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
             )
         };
-        let by_source = motions(0)?.into_iter().map(|motion| winner * motion);
-        let by_target = motions(1)?.into_iter().map(|motion| motion * winner);
+        let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
+        let from_target = motions(1)?.into_iter().map(|motion| motion * winner);
         let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
-        for guess in by_target.chain(by_source) {
+        for guess in from_target.chain(from_source) {
             let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
             if displacement(&guess, winner, &self.coarse) > least * distance && guesses.iter().all(differs) {
                 guesses.push(guess);
