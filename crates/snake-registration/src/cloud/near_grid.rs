@@ -62,21 +62,24 @@ impl NearGrid {
         self.distance
     }
 
-    /// The points in the cells next to a query's, in rows: all that are closer than the grid's
-    /// distance, and others.
-    fn rows_near(&self, query: &Vector) -> impl Iterator<Item = &[(Vector, u32)]> {
+    /// Visits the points in the cells next to a query's, in rows: all that are closer than the
+    /// grid's distance, and others.
+    fn for_rows_near<'a>(&'a self, query: &Vector, mut visit: impl FnMut(&'a [(Vector, u32)])) {
         let [x, y, z] = self.cell_of(query);
         let [xs, ys, zs] = [(x, 0), (y, 1), (z, 2)].map(|(v, axis)| {
             let (first, end) = ((v - 1.0).max(0.0), (v + 2.0).min(self.sides[axis] as f64));
             // Casts saturate: a query before the first cell has an empty range.
             first as usize..end as usize
         });
-        let (first, end) = (xs.start, xs.end);
-        let rows = zs.flat_map(move |z| ys.clone().map(move |y| [y, z])).filter(move |_| first < end);
-        rows.map(move |[y, z]| {
-            let row = self.index([0, y, z]);
-            &self.order[self.starts[row + first] as usize..self.starts[row + end] as usize]
-        })
+        if xs.is_empty() {
+            return;
+        }
+        for z in zs {
+            for y in ys.clone() {
+                let row = self.index([0, y, z]);
+                visit(&self.order[self.starts[row + xs.start] as usize..self.starts[row + xs.end] as usize]);
+            }
+        }
     }
 
     /// Index and squared distance of the nearest point closer than the grid's distance; of equally
@@ -84,21 +87,21 @@ impl NearGrid {
     pub(crate) fn nearest(&self, query: &Vector) -> Option<(usize, f64)> {
         let limit = self.distance * self.distance;
         let mut best = (u32::MAX, limit);
-        for row in self.rows_near(query) {
+        self.for_rows_near(query, |row| {
             for (point, index) in row {
                 let squared = (point - query).norm_squared();
                 if squared < best.1 || squared == best.1 && *index < best.0 && squared < limit {
                     best = (*index, squared);
                 }
             }
-        }
+        });
         (best.1 < limit).then_some((best.0 as usize, best.1))
     }
 
     /// Calls `visit` with the index, offset and squared distance of each point closer than the
     /// grid's distance.
     pub(crate) fn within(&self, query: &Vector, mut visit: impl FnMut(usize, Vector, f64)) {
-        for row in self.rows_near(query) {
+        self.for_rows_near(query, |row| {
             for (point, index) in row {
                 let offset = point - query;
                 let squared = offset.norm_squared();
@@ -106,7 +109,7 @@ impl NearGrid {
                     visit(*index as usize, offset, squared);
                 }
             }
-        }
+        });
     }
 }
 
