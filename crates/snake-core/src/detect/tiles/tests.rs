@@ -27,6 +27,7 @@ fn options(mode_radius: Option<Length>) -> Options {
     options.encode.voxel_size = Some(VOXEL.into());
     options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(Length::Voxels(1.5)));
     options.detect = options.detect.with_mode_radius(mode_radius).with_max_keypoints(usize::MAX);
+    options.detect.min_confidence = None;
     options
 }
 

@@ -128,7 +128,9 @@ fn a_scene_far_from_its_origin_has_the_keypoints_of_the_scene_near_it() {
     let detect = |offset: [f64; 3]| {
         let positions = room().into_iter().map(|p| std::array::from_fn(|axis| f64::from(p[axis]) + offset[axis]));
         let cloud = Cloud::from_positions(positions.collect::<Vec<[f64; 3]>>().into_iter());
-        let detection = model.detect(&cloud.points, model.recommended()).unwrap();
+        let mut options = *model.recommended();
+        options.detect.min_confidence = None;
+        let detection = model.detect(&cloud.points, &options).unwrap();
         let place = |k: &Keypoint| -> [f64; 3] {
             std::array::from_fn(|axis| f64::from(k.position[axis]) + cloud.origin[axis] - offset[axis])
         };
