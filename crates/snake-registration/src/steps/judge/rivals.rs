@@ -131,20 +131,29 @@ impl Rival {
                 axis_name(&axis)
             ),
             Motion::Alike => {
-                let motion = self.transform * winner.inverse();
-                let (angle, slide) = (motion.rotation.angle().to_degrees(), self.moved);
+                let angle = (self.transform.rotation * winner.rotation.inverse()).angle().to_degrees().round();
+                let by = self.transform.translation.vector - winner.translation.vector;
+                if angle == 0.0 {
+                    return repeat_note("scene", &by);
+                }
                 format!(
-                    "ambiguous: the scene looks like itself after a turn by {angle:.0} degrees that moves the source by \
-                     {slide:.3}, and the source fits there about as well"
+                    "ambiguous: the scene looks like itself after a turn by {angle:.0} degrees that moves the source by {:.3}, \
+                     and the source fits there about as well",
+                    self.moved
                 )
             }
-            Motion::Shift(Shift { by, .. }) => format!(
-                "ambiguous: the target repeats itself every {:.3} along {}, and the source fits there about as well",
-                by.norm(),
-                axis_name(&by.normalize())
-            ),
+            Motion::Shift(Shift { by, .. }) => repeat_note("target", &by),
         }
     }
+}
+
+/// What repeats itself after a shift, in a sentence.
+fn repeat_note(what: &str, by: &Vector) -> String {
+    format!(
+        "ambiguous: the {what} repeats itself every {:.3} along {}, and the source fits there about as well",
+        by.norm(),
+        axis_name(&by.normalize())
+    )
 }
 
 /// The turns, reflections, shifts and other motions of the winner under which the clouds fit, with what tells them

@@ -22,7 +22,7 @@ tuning! {
     /// It contradicts at most this of the places that tell the two apart: sensors apart, and at one
     /// place, where one pattern of rays coincides point by point.
     self_contradicted: [f64; 2] = [0.35, 0.43], unit "shares of the places that the winner explains and that tell",
-        from "stairs 0.10 to 0.14, stairwells 0.16 to 0.42, ramps 0.28 to 0.40, traffic 0.29 to 0.42; streets turned round 0.46 and more (same pairs)";
+        from "stairs 0.10 to 0.14, stairwells 0.16 to 0.42, ramps 0.28 to 0.40, traffic 0.29 to 0.42; streets after a half turn 0.46 and more (same pairs)";
 
     /// Number of other transforms that may be rivals of the best, at most.
     rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
