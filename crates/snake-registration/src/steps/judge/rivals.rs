@@ -1,7 +1,7 @@
 //! Other answers that are tried on purpose: the winner after a turn, a reflection or a shift under
 //! which the clouds look alike, and after the motions under which one of them looks like itself.
 
-use nalgebra::{IsometryMatrix3, Translation3};
+use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
 use super::alike::self_motions;
@@ -93,7 +93,11 @@ impl Rival {
         let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
         let (max_lead, max_contradicted) = match self.motion {
             Motion::Alike => {
-                let limit = TUNING.self_contradicted[usize::from(self.is_standing)];
+                let explains_more = self.counts.rival as f64 >= TUNING.min_self_share * self.counts.winner as f64;
+                let limit = match (self.is_standing, explains_more) {
+                    (true, _) => TUNING.self_contradicted[2],
+                    (false, explains_more) => TUNING.self_contradicted[usize::from(explains_more)],
+                };
                 return self.counts.contradicted_of_telling() <= limit;
             }
             Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
@@ -206,20 +210,22 @@ impl<'a, 'b> Fitting<'a, 'b> {
     }
 
     /// The winner before or after each motion under which a cloud looks like itself, or its inverse. Where the
-    /// sensors are at one place and one pattern of rays hides that the scene looks alike, any of its motions
-    /// will do.
+    /// sensors are at one place and one pattern of rays hides that the scene looks alike, any of its slides
+    /// will do: a sensor that keeps pace with the scene does not turn.
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
-        let [min_support, least] = match (self.is_standing, self.pair.is_signed()) {
-            (true, _) => [0.0, TUNING.min_shift],
-            (false, true) => [TUNING.min_self_support, TUNING.elsewhere],
-            (false, false) => [TUNING.min_self_support, TUNING.min_unsigned_motion],
+        let least = match (self.is_standing, self.pair.is_signed()) {
+            (true, _) => TUNING.min_shift,
+            (false, true) => TUNING.elsewhere,
+            (false, false) => TUNING.min_unsigned_motion,
+        };
+        let counts = |(motion, support): &&(IsometryMatrix3<f64>, f64)| {
+            *support >= TUNING.min_self_support || self.is_slide_of_one_place(&motion.rotation)
         };
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
-            let supported = motions.iter().filter(|(_, support)| *support >= min_support);
             Ok::<_, snake_core::Error>(
-                supported.flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
+                motions.iter().filter(counts).flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
             )
         };
         let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
@@ -234,16 +240,20 @@ impl<'a, 'b> Fitting<'a, 'b> {
         Ok(guesses.into_iter().map(|guess| (Motion::Alike, guess)).collect())
     }
 
+    /// Whether the sensors are at one place and hardly turn between two answers.
+    fn is_slide_of_one_place(&self, turn: &Rotation3<f64>) -> bool {
+        self.is_standing && turn.angle() < TUNING.max_slide_turn.to_radians()
+    }
+
     /// The transform near a guess that fits best; `None` if it does not fit the surfaces.
     fn fitted(&self, motion: Motion, guess: IsometryMatrix3<f64>) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
         let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
         let step = coarse_step(surfaces[0].points.len());
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
+        let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
         let min_fit = match motion {
-            Motion::Alike if self.is_standing || self.pair.is_signed() => {
-                TUNING.self_fit[usize::from(self.is_standing)]
-            }
+            Motion::Alike if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
@@ -321,12 +331,13 @@ impl<'a, 'b> Scene<'a, 'b> {
         if displacement(&transform, self.fitting.winner, &self.fitting.coarse) < TUNING.min_shift * distance {
             return Ok(None);
         }
+        let turn = transform.rotation * self.fitting.winner.rotation.inverse();
         Ok(Some(Rival {
             transform,
             motion,
             counts: self.compare(&transform),
             is_signed: self.fitting.pair.is_signed(),
-            is_standing: self.fitting.is_standing,
+            is_standing: self.fitting.is_slide_of_one_place(&turn),
             inlier_distance: distance,
             moved: displacement(&transform, self.fitting.winner, &self.fitting.coarse),
         }))
