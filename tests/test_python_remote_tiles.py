@@ -14,7 +14,7 @@ import snake_rs
 
 # 12 000 points on 40 by 40 m: cargo run --release -p snake-tiles --example city -- tests/data/tiles/city.copc.laz 2 3000
 CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
-OPTIONS = {"voxel_size": 0.4, "mode_radius": 0.6, "saliency_threshold": 0.01, "nms_radius": 0.5}
+OPTIONS = {"voxel_size": 0.4, "mode_radius": 0.6, "saliency_threshold": 0.01, "nms_radius": 0.5, "min_confidence": None}
 
 
 @pytest.fixture(scope="module")

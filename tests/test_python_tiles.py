@@ -15,7 +15,7 @@ from golden_network import EASY, GOLDEN
 
 import snake_rs
 
-OPTIONS = {"voxel_size": 0.4, "mode_radius": 0.6, "saliency_threshold": 0.01, "nms_radius": 0.5}
+OPTIONS = {"voxel_size": 0.4, "mode_radius": 0.6, "saliency_threshold": 0.01, "nms_radius": 0.5, "min_confidence": None}
 WHOLE = {**OPTIONS, "max_keypoints": 100_000}
 
 

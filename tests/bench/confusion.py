@@ -8,6 +8,7 @@ compared.
 """
 
 import argparse
+import itertools
 import json
 import os
 import resource
@@ -82,7 +83,8 @@ def main() -> None:
     seconds = np.zeros(len(arguments.programs))
     with tempfile.TemporaryDirectory() as folder:
         pairs = list(real(arguments.scenes)) if arguments.scenes else []
-        for kind, name, files, is_right_at in [*pairs, *made(arguments.kinds, range(*arguments.seeds), Path(folder))]:
+        made_pairs = made(arguments.kinds, range(*arguments.seeds), Path(folder))
+        for kind, name, files, is_right_at in itertools.chain(pairs, made_pairs):
             line = []
             for number, program in enumerate(arguments.programs):
                 found, is_reliable, taken, notes = run(program, files)
