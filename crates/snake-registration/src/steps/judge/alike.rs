@@ -1,14 +1,14 @@
 //! Motions under which a cloud looks like itself: a step of spiral stairs, the pitch of a row, a storey,
 //! a half turn of a room.
 
-use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
+use nalgebra::{DMatrix, DMatrixView, DVectorView};
 
 use super::tuning::TUNING;
 use crate::steps::consensus::consensus;
 use crate::steps::describe::{Rows, describe_cloud};
 use crate::steps::matches::inliers;
 use crate::steps::pair::Pair;
-use crate::steps::prepare::PreparedCloud;
+use crate::steps::prepare::{PreparedCloud, SelfMotion};
 use snake_core::{Control, Result};
 use snake_geometry::{Vector, vector};
 
@@ -18,7 +18,7 @@ const CHUNK: usize = 64;
 /// The motions of a cloud onto itself on which matches of its descriptors with its own places elsewhere agree,
 /// each with the share of the matches, the best supported first; `signed` as in [`describe_cloud`]. The cloud
 /// keeps them.
-pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[(IsometryMatrix3<f64>, f64)]> {
+pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[SelfMotion]> {
     let slot = &cloud.self_motions[usize::from(signed)];
     if slot.get().is_none() {
         let (pair, control) = (Pair::new(cloud, cloud, None), Control::default());
@@ -64,7 +64,7 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{IsometryMatrix3, Vector3};
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 

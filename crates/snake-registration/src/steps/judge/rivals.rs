@@ -15,6 +15,7 @@ use crate::cloud::patches::{self, FineCloud, Place, overlap};
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::displacement;
 use crate::steps::pair::Pair;
+use crate::steps::prepare::SelfMotion;
 use crate::steps::refine::icp::one_way_icp;
 use crate::steps::refine::patches::refine_on_patches;
 use snake_core::{Counter, Result};
@@ -219,7 +220,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
             (false, true) => TUNING.elsewhere,
             (false, false) => TUNING.min_unsigned_motion,
         };
-        let counts = |(motion, support): &&(IsometryMatrix3<f64>, f64)| {
+        let counts = |(motion, support): &&SelfMotion| {
             *support >= TUNING.min_self_support || self.is_slide_of_one_place(&motion.rotation)
         };
         let motions = |cloud: usize| {

@@ -21,6 +21,9 @@ use snake_geometry::{
     FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, Vector, check_points,
 };
 
+/// A motion of a cloud onto itself, and the share of the cloud's matches with itself that agree on it.
+pub(crate) type SelfMotion = (IsometryMatrix3<f64>, f64);
+
 /// A cloud with its voxels, normals, sensor and keypoints. Descriptors and planar patches are
 /// computed when they are first needed, and kept.
 pub struct PreparedCloud {
@@ -41,7 +44,7 @@ pub struct PreparedCloud {
     pub(crate) rows: [OnceLock<Vec<f32>>; 2],
     fine: OnceLock<FineCloud>,
     /// The motions under which the cloud looks like itself: of normals without a sign, and with one.
-    pub(crate) self_motions: [OnceLock<Vec<(IsometryMatrix3<f64>, f64)>>; 2],
+    pub(crate) self_motions: [OnceLock<Vec<SelfMotion>>; 2],
 }
 
 impl PreparedCloud {

@@ -12,6 +12,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 pub use cloud::PreparedCloud;
+pub(crate) use cloud::SelfMotion;
 pub(crate) use cloud::diameter;
 pub use lengths::Lengths;
 pub(crate) use pyramid::{Given, Level, Pyramid};
