@@ -70,7 +70,7 @@ def test_bad_arguments_are_refused(scans):
         snake_rs.align([clouds[0], np.zeros((5, 3))])
     with pytest.raises(ValueError, match="viewpoints"):
         snake_rs.align(clouds, viewpoints=[None])
-    # Options for one pair are none for many clouds.
+    # `align` refuses options that only `register` has.
     for option in ("hypotheses", "initial", "source_viewpoint"):
         with pytest.raises(TypeError, match=rf"align\(\) got an unexpected keyword argument '{option}'.*max_partners"):
             snake_rs.align(clouds, **{option: 3})

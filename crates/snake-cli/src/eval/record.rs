@@ -10,8 +10,14 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use snake_eval::reports::Sample;
 
-use super::schedule::Task;
 use crate::terminal;
+
+/// A pair or shape, and the seed of the random choices on it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Task {
+    pub seed: u64,
+    pub index: usize,
+}
 
 /// The figures of the finished pairs, in order. With an output directory they are kept in `METRIC.jsonl`, whose first
 /// line has the settings.

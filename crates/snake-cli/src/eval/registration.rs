@@ -18,7 +18,8 @@ use snake_registration::mutual_nearest;
 use super::args::RegistrationArguments;
 use super::described::{Clouds, DescribedCloud, Methods, VOXEL_SIZE};
 use super::meeting::warn_if_apart;
-use super::schedule::{Schedule, Task};
+use super::record::Task;
+use super::schedule::Schedule;
 
 // Settings that the benchmark fixes; lengths are in metres.
 /// A correspondence is an inlier up to this distance under the true transform.

@@ -10,7 +10,7 @@ use snake_eval::reports::{Report, Sample};
 use snake_io as io;
 
 use super::args::RunArguments;
-use super::record::Record;
+use super::record::{Record, Task};
 use crate::output::InputFiles;
 use crate::terminal;
 
@@ -22,13 +22,6 @@ pub struct Schedule<'a> {
     run: &'a RunArguments,
     chosen: Vec<usize>,
     tasks: Vec<Task>,
-}
-
-/// A pair or shape, and the seed of the random choices on it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Task {
-    pub seed: u64,
-    pub index: usize,
 }
 
 impl<'a> Schedule<'a> {

@@ -13,7 +13,8 @@ use snake_eval::{RankedKeypoints, SmplProtocol, Unreachable, radius_of_coverage,
 
 use super::args::{EvalArguments, SemanticArguments};
 use super::methods::{InFile, Method, count_models};
-use super::schedule::{Schedule, Task};
+use super::record::Task;
+use super::schedule::Schedule;
 use crate::terminal;
 
 /// The suppression radius of the paper's figures.

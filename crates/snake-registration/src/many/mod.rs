@@ -21,9 +21,10 @@ use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, RigidTransform};
 
 use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
-use crate::register::tries::{Effort, Search, less_confident};
+use crate::register::tries::{Effort, Search};
 use crate::result::Registration;
 use crate::steps::describe::describe_cloud;
+use crate::steps::judge::less_confident;
 use crate::steps::judge::units_note;
 use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, PreparedCloud};

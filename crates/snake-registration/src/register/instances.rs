@@ -3,14 +3,13 @@
 use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
-use super::tries::less_confident;
 use crate::cloud::planes::PlanePair;
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::options::PairOptions;
 use crate::result::{Instance, Matches, Registration};
 use crate::rigid::{displacement, moved};
 use crate::steps::Pair;
-use crate::steps::judge::judge_counted;
+use crate::steps::judge::{judge_counted, less_confident};
 use crate::steps::refine::Candidate;
 use crate::steps::refine::icp::{iterate, symmetric_icp};
 use crate::steps::votes::{Vote, Votes, votes};

@@ -1,9 +1,9 @@
 //! A source of unknown scale: registration at several factors.
 
-use super::tries::{Effort, Keep, Search, keep, less_confident};
+use super::tries::{Effort, Keep, Search, keep};
 use crate::options::PairOptions;
 use crate::result::Registration;
-use crate::steps::judge::best_scale;
+use crate::steps::judge::{best_scale, less_confident};
 use crate::steps::prepare::Given;
 use crate::tuning::tuning;
 use snake_core::{Control, Error, Result};

@@ -3,6 +3,7 @@
 use super::instances::register_instances;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
+use crate::steps::judge::less_confident;
 use crate::steps::prepare::{Given, Level};
 use crate::steps::refine::refine_supported;
 use crate::steps::single_matches::Voters;
@@ -262,15 +263,6 @@ pub(super) fn keep(
         *best = Some(new);
     }
     Ok(None)
-}
-
-/// The result of a further try, with a lower confidence: of two wrong results, one looks right by
-/// chance twice as often.
-pub(crate) fn less_confident(mut registration: Registration) -> Registration {
-    let verdict = &mut registration.verdict;
-    verdict.confidence /= 2.0 - verdict.confidence;
-    verdict.is_reliable = verdict.confidence >= judge::TUNING.reliable;
-    registration
 }
 
 /// A guess whose rotation is off by more has too few digits, about which a note is due.
