@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::format::PointFormat;
+use crate::formats::PointFormat;
 use crate::formats::{pcd, ply, sweep};
 #[cfg(feature = "laz")]
 use crate::las;

@@ -8,7 +8,7 @@ use snake_geometry::{Cloud, Point, setters};
 
 use crate::arrays::npy;
 use crate::crs::Crs;
-use crate::format::PointFormat;
+use crate::formats::PointFormat;
 #[cfg(feature = "laz")]
 use crate::las;
 use crate::text::columns::Columns;

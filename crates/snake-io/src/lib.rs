@@ -60,7 +60,6 @@ mod attributes;
 mod clouds;
 mod crs;
 mod error;
-mod format;
 mod formats;
 #[cfg(feature = "laz")]
 mod las;
@@ -87,7 +86,7 @@ pub use clouds::{
 };
 pub use crs::Crs;
 pub use error::{Error, Result};
-pub use format::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
+pub use formats::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 #[cfg(feature = "laz")]
 pub use las::copc::{Copc, LocalFile, Ranges};
 #[cfg(feature = "mcap")]

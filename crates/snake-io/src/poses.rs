@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::format::{extension, unknown_extension};
 use crate::formats::quaternion::rotation;
+use crate::formats::{extension, unknown_extension};
 use crate::text::header::is_comment;
 use crate::text::lines::{Lines, text};
 use crate::text::number::number;

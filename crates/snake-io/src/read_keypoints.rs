@@ -6,7 +6,7 @@ use serde::Deserialize;
 use snake_geometry::{Cloud, Keypoint, Point};
 
 use crate::arrays::npy;
-use crate::format::{KeypointFormat, unknown_extension};
+use crate::formats::{KeypointFormat, unknown_extension};
 use crate::formats::{pcd, ply};
 use crate::table::{Table, find};
 use crate::{Error, Result, text};

@@ -38,7 +38,7 @@ fn good_files() -> Vec<PathBuf> {
 fn good_files_hold_the_cloud() {
     let paths = good_files();
     for extension in POINT_EXTENSIONS.iter() {
-        assert!(paths.iter().any(|path| super::format::extension(path) == *extension), "no sample of .{extension}");
+        assert!(paths.iter().any(|path| super::formats::extension(path) == *extension), "no sample of .{extension}");
     }
     for path in paths {
         assert_eq!(read_points(&path).unwrap(), CLOUD, "{}", path.display());

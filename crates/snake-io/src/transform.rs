@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::arrays::npy;
-use crate::format::{extension, unknown_extension};
+use crate::formats::{extension, unknown_extension};
 use crate::text::{matrix, write_rows};
 use crate::{Error, Result, write_atomically};
 use snake_geometry::RigidTransform;

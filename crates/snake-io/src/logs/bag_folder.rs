@@ -3,7 +3,7 @@
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
-use crate::format::{PointFormat, extension};
+use crate::formats::{PointFormat, extension};
 use crate::logs::metadata;
 use crate::{Error, Result};
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use snake_geometry::Cloud;
 
-use crate::format::extension;
+use crate::formats::extension;
 use crate::logs::bag_folder;
 use crate::logs::mcap;
 use crate::logs::message::{Message, Messages};

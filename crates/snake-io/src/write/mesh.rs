@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::format::{extension, unknown_extension};
+use crate::formats::{extension, unknown_extension};
 use crate::table::scalar::Scalar;
 use crate::write::axes;
 use crate::write::ply::{self, Row};

@@ -13,7 +13,7 @@ mod rows;
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::format::{CloudFormat, KeypointFormat, extension};
+use crate::formats::{CloudFormat, KeypointFormat, extension};
 use crate::table::scalar::{Column, Scalar};
 use crate::write::keypoint_source::KeypointSource;
 use crate::write::rows::Rows;
