@@ -51,6 +51,7 @@ $(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
 $(TEST): export PYTHONPATH := $(CURDIR)/python
 test-full: export SNAKE_FULL := 1
 test-full: NIGHTLY :=
+test-full: copper
 test:  ## all tests: Rust, Python module, training, parity with PyTorch; prints the ten slowest
 test-full:  ## also whole grids, of which `make test` tests one of each kind: for the night
 $(TEST): $(VENV)/ready
@@ -58,6 +59,10 @@ $(TEST): $(VENV)/ready
 	cp target/release/lib_core.$(if $(filter Darwin,$(shell uname)),dylib,so) python/snake_rs/_core.abi3.so
 	python3 tools/rust_tests.py $(PACKAGES)
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --durations=10 $(NIGHTLY) --numprocesses 2 --dist loadfile tests training/tests
+
+.PHONY: copper
+copper:
+	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
 test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun, Zenoh and the page for a browser; half an hour
@@ -78,11 +83,10 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 	$(ARM_CARGO) -p snake-geometry --lib
 	$(ARM_CARGO) -p snake-core --lib -- $(ARM_TESTS)
 
-check: module $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stubs, documentation, other crates, packages, the wheel
+check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stubs, documentation, other crates, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets --features snake-keypoints/full
 	cargo test --release -p snake-interop
-	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs samples
 	$(VENV)/bin/ruff format --check training python tests docs samples

@@ -201,7 +201,7 @@ def calls(n):
     for name in ("max_keypoints", "num_keypoints", "max_matches", "hypotheses"):
         yield lambda name=name: snake_rs.register(few, few, **{name: n})
     yield lambda: snake_rs.align([few, few], max_partners=n)
-for n in (10**7, 10**12, 2**63 - 1, 2**64 - 1):
+for n in (10**7, 2**64 - 1):
     for i, call in enumerate(calls(n)):
         print(n, i, flush=True)
         try:

@@ -148,6 +148,7 @@ def cluster():
     ray.shutdown()
 
 
+@pytest.mark.nightly
 def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
     from snake_rs.ray import DetectClouds
 
@@ -304,6 +305,7 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
     assert times() == first
 
 
+@pytest.mark.nightly
 def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
     from snake_rs.ray import keypoints_of_tiles
 

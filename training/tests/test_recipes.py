@@ -54,6 +54,7 @@ def test_what_is_done_is_not_done_again(run_dir):
     assert before == {path: path.stat().st_mtime_ns for path in run_dir.rglob("*.*")}
 
 
+@pytest.mark.nightly
 def test_the_recipe_of_the_papers_network_takes_a_quarter_of_an_hour_of_a_gpu(tmp_path, monkeypatch, capsys):
     """Two calls on a machine without snake_rs: the first is spent at 64³, the second ends it. At most eight files come back."""
     carried, runs, pieces = tmp_path / "carried", tmp_path / "runs", tmp_path / "pieces"

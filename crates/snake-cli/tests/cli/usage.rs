@@ -308,7 +308,8 @@ fn long_work_has_lines_without_a_terminal() {
     let options = ["query_resolution=128", "occupancy_threshold=0", "query_band=0", "refine_steps=100"];
     let options = options.into_iter().flat_map(|option| ["--set", option]);
     let mut command = Command::new(env!("CARGO_BIN_EXE_snake-cli"));
-    command.arg("detect").arg(sample()).args(options).stdout(Stdio::null()).stderr(Stdio::piped());
+    command.arg("detect").arg(sample()).args(options).args(["--threads", "1"]);
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
     let start = std::time::Instant::now();
     let mut child = Running(command.spawn().unwrap());
     let mut lines = BufReader::new(child.0.stderr.take().unwrap()).lines().map(Result::unwrap);
