@@ -82,17 +82,23 @@ def joined(tables: str, beyond: str = "") -> str:
     return "".join([head, f"|{'---|' * (1 + len(columns))}\n", *lines])
 
 
-def objects_part(alike: tuple[dict, str], paper_tables: str) -> str:
+def with_corners(table: str, corners: str) -> str:
+    """A table with the rows of the same one of an evaluation with `--prefer corners`."""
+    rows = re.findall(r"^\| snake.*\n", corners, re.MULTILINE)
+    return table + "".join(re.sub(r"^\| (\w+)", r"| \1, corners", row) for row in rows)
+
+
+def objects_part(alike: tuple[dict, str], corners: str, paper_tables: str) -> str:
     report, tables = alike
     return f"""## Objects
 
 Relative repeatability on {report["pairs"]} objects: the share of keypoints of one view that the other view, rotated at random and sampled
 anew, finds again within ε (in units of the object's radius), with 5000 points and the best 64 keypoints of each view. `snake` is
-`compact`, `snakex4` is `standard`. Coverage is the mean distance from the points to the nearest keypoint. Each method keeps its keypoints
+`compact`, `snakex4` is `standard`, `corners` is `--prefer corners`. Coverage is the mean distance from the points to the nearest keypoint. Each method keeps its keypoints
 as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Thinned (1 in N) and noisy (σ) views are
 at ε 0.04:
 
-{joined(tables, "0.04")}
+{with_corners(joined(tables, "0.04"), joined(corners, "0.04"))}
 Beyond chance, 0 is what random points of the other view would find, as many as it has keypoints. On a flat place, the least of three
 eigenvalues of the neighbourhood is below 1 % of their sum.
 
@@ -112,13 +118,13 @@ def shares(tables: str) -> str:
     return re.sub(r"^(\|.*\|)[^|]*\|$", r"\1", found, flags=re.MULTILINE)  # without the number of keypoints
 
 
-def landmarks_part(tables: str) -> str:
+def landmarks_part(tables: str, corners: str) -> str:
     return f"""## Landmarks
 
 200 procedural shapes that know their corners, tips and ends (`python -m snake_training.make landmarks`), all methods at the
-coverage {OBJECT_COVERAGE}.
+coverage {OBJECT_COVERAGE}. What `--prefer corners` costs stands under [objects](#objects).
 
-{shares(tables)}"""
+{with_corners(shares(tables), shares(corners))}"""
 
 
 def consistency(reports: dict[str, list[dict]], *kinds: tuple[str, str, str]) -> str:
@@ -253,10 +259,13 @@ def main() -> None:
     parts, undisturbed = {}, ["--downsample", "1", "--noise", "0"]
     methods = ["--methods", f"snake,snakex4,{CLASSICAL}"]
     compact = ["--model", "compact"]
+    prefer_corners = ["--methods", "snake,snakex4", "--set", "prefer=corners"]
     if arguments.objects:
         objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
-        alike = evaluate("objects", "repeatability", *objects, *methods, *views, "--coverage", OBJECT_COVERAGE)
+        views += ["--coverage", OBJECT_COVERAGE]
+        alike = evaluate("objects", "repeatability", *objects, *methods, *views)
+        _, corners = evaluate("objects-corners", "repeatability", *objects, *prefer_corners, *views)
         few = [
             "--methods",
             "snake,snakex4,surface-variation,iss",
@@ -268,11 +277,13 @@ def main() -> None:
             "0,0.06",
         ]
         _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
-        parts["Objects"] = objects_part(alike, paper)
+        parts["Objects"] = objects_part(alike, corners, paper)
         shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
     if arguments.landmarks:
-        few = [*methods, "--coverage", OBJECT_COVERAGE, "--threshold", "0.05,0.1"]
-        parts["Landmarks"] = landmarks_part(evaluate("landmarks", "semantic", arguments.landmarks, *compact, *few)[1])
+        few = [arguments.landmarks, *compact, "--coverage", OBJECT_COVERAGE, "--threshold", "0.05,0.1"]
+        _, found = evaluate("landmarks", "semantic", *few, *methods)
+        _, corners = evaluate("landmarks-corners", "semantic", *few, *prefer_corners)
+        parts["Landmarks"] = landmarks_part(found, corners)
     if arguments.bodies:
         few = ["--threshold", ",".join(THRESHOLDS), *(["--limit", str(arguments.limit)] if arguments.limit else [])]
         sets = {name: bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES}

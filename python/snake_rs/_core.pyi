@@ -130,6 +130,7 @@ class _DetectOptions(_Preset, total=False):
     min_confidence: float | None
     mode_radius: float | str | None
     nms_radius: float | str | None
+    prefer: Literal["salient", "corners"]
     max_keypoints: int | None
     snap: bool
 

@@ -75,7 +75,8 @@ pub use options::in_words;
 #[doc(hidden)]
 pub use options::option_names;
 pub use options::{
-    DetectOptions, EncodeOptions, MeshOptions, MeshSurface, Options, Preset, RefineMethod, Selection, with_named_values,
+    DetectOptions, EncodeOptions, MeshOptions, MeshSurface, Options, Preference, Preset, RefineMethod, Selection,
+    with_named_values,
 };
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;

@@ -1,12 +1,12 @@
 //! From candidates to keypoints: modes, suppression, nearest points, confidence.
 
 use super::modes::seek_modes;
-use super::{Candidates, Detection};
+use super::{Candidates, Detection, corners};
 use crate::Result;
 use crate::control::clock::Instant;
 use crate::control::span;
 use crate::field::Field;
-use crate::options::{DetectOptions, Radii};
+use crate::options::{DetectOptions, Preference, Radii};
 use snake_geometry::{Keypoint, nearest_points, suppress};
 
 /// The last steps of a detection.
@@ -18,19 +18,21 @@ pub(super) fn finish(
 ) -> Result<Detection> {
     span!("suppress");
     let start = Instant::now();
-    let Candidates { positions, scores, mut counts, mut timing } = candidates;
-    let (mut positions, scores) = match radii.mode {
-        None => {
-            let kept = suppress(&positions, &scores, radii.nms, options.max_keypoints)?;
-            (selected(&positions, &kept), selected(&scores, &kept))
-        }
-        Some(radius) => {
-            let modes = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
-            let kept = suppress(&modes.positions, &modes.scores, radii.nms, options.max_keypoints)?;
-            (selected(&modes.positions, &kept), selected(&modes.scores, &kept))
+    let Candidates { mut positions, mut scores, mut counts, mut timing } = candidates;
+    if let Some(radius) = radii.mode {
+        let modes = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
+        (positions, scores) = (modes.positions, modes.scores);
+    }
+    let points = field.finite_points();
+    let kept = match options.prefer {
+        Preference::Salient => suppress(&positions, &scores, radii.nms, options.max_keypoints)?,
+        Preference::Corners => {
+            let offsets = corners::offsets(&points.points, &positions, corners::RADIUS * field.voxel_size())?;
+            let ranks: Vec<f32> = scores.iter().zip(offsets).map(|(score, offset)| score + offset).collect();
+            suppress(&positions, &ranks, radii.nms, options.max_keypoints)?
         }
     };
-    let points = field.finite_points();
+    (positions, scores) = (selected(&positions, &kept), selected(&scores, &kept));
     let nearest = nearest_points(&points.points, &positions)?;
     if options.snap {
         positions = selected(&points.points, &nearest);

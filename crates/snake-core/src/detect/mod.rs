@@ -1,6 +1,7 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
 mod cluster_hint;
+mod corners;
 mod detection;
 mod finish;
 mod modes;

@@ -30,6 +30,18 @@ pub enum Selection {
     ReferenceFinalPosition,
 }
 
+/// Which keypoints come first. Those suppress the others that are near them, and are kept where there are too many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preference {
+    /// The most salient ones, as in the paper. Most of them are found again.
+    #[default]
+    Salient,
+    /// Those at corners, ends and tips. To the saliency is added the distance from the mean of the input points within three
+    /// voxels, as a share of this radius.
+    Corners,
+}
+
 options! {
     /// Options of [`Field::detect`](crate::Field::detect); the defaults are the paper's for ModelNet40.
     pub struct DetectOptions {
@@ -84,7 +96,11 @@ options! {
         #[serde(deserialize_with = "none_if_zero")]
         nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
-        /// Largest number of keypoints; those with the highest saliency are kept.
+        /// Which keypoints come first: the most salient ones, or those at corners, ends and tips of the cloud.
+        ///
+        /// Tiles have the most salient ones.
+        prefer, with_prefer: Preference = Preference::Salient, flag "KEYPOINTS";
+        /// Largest number of keypoints; the best by `prefer` are kept.
         ///
         /// `usize::MAX` is no limit.
         #[serde(deserialize_with = "most_if_null")]

@@ -11,7 +11,7 @@ pub use self::by_name::in_words;
 pub use self::by_name::option_names;
 pub use self::by_name::with_named_values;
 pub(crate) use self::detect::Radii;
-pub use self::detect::{DetectOptions, RefineMethod, Selection};
+pub use self::detect::{DetectOptions, Preference, RefineMethod, Selection};
 pub use self::encode::EncodeOptions;
 pub use self::mesh::{MeshOptions, MeshSurface};
 pub use self::presets::Preset;

@@ -25,7 +25,7 @@ use crate::control::Control;
 use crate::field::{Field, check_number_of_points};
 use crate::lattice::{Queries, from_corner, voxel_size};
 use crate::network::Network;
-use crate::options::{DetectOptions, Options, Radii};
+use crate::options::{DetectOptions, Options, Preference, Radii};
 use crate::{Error, Result};
 use snake_geometry::{Fate, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
 use snake_kernels::BLOCK_SIDE;
@@ -338,6 +338,9 @@ fn check_parts(detect: &DetectOptions, max_points: Option<usize>) -> Result<()> 
     }
     if detect.refine_steps > 0 {
         return refused("refine_steps", detect.refine_steps.to_string(), "0 in tiles");
+    }
+    if detect.prefer != Preference::Salient {
+        return refused("prefer", "corners".into(), "salient in tiles");
     }
     if detect.snap {
         return refused("snap", "true".into(), "false in tiles");

@@ -151,6 +151,7 @@ fn options_that_need_the_whole_cloud_are_refused_by_name() {
         ("`max_points`", refused(|options| options.encode.max_points = Some(7))),
         ("`refine_steps`", refused(|options| options.detect.refine_steps = 3)),
         ("`snap`", refused(|options| options.detect.snap = true)),
+        ("`prefer`", refused(|options| options.detect.prefer = Preference::Corners)),
     ] {
         assert!(error.contains(name), "{name}: {error}");
     }
