@@ -50,7 +50,7 @@ def is_right(pair: scene_pairs.Pair, transform: np.ndarray) -> bool | None:
     if scene_pairs.is_right(transform, pair.t_target_source):
         return True
     degrees, metres = scene_pairs.errors(transform, pair.t_target_source)
-    return None if degrees < 20 and metres < 0.7 else False
+    return None if degrees < scene_pairs.NEAR_DEGREES and metres < scene_pairs.NEAR_METRES else False
 
 
 def results(arguments: argparse.Namespace) -> list[tuple[str, bool, dict]]:
