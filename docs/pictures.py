@@ -34,6 +34,7 @@ PICTURES = {
     "gallery/street.png": [f"{GALLERY} {{sweep}} {{street}} --columns 2 --view 60 35 --radius 30"],
     "gallery/aerial.png": [f"{GALLERY} {{aerial}} {{tabletop}} --up z camera --columns 2 --view 15 60"],
     "gallery/facade.png": [f"{PAIRS} {{facade_moved}} {{facade}} --hypotheses 3"],
+    "gallery/stairs.png": [f"{PAIRS} {{stairs_above}} {{stairs}} --hypotheses 2 --side"],
     "gallery/map.png": [f"{PAIRS} {{room}} {{rooms}} --map 0.05"],
     "gallery/overlap.png": [f"{PAIRS} {{overlapping}} {{overlapped}}"],
     "gallery/field.png": [f"snake-cli field {PLANE} -o {{out}}"],
@@ -55,6 +56,15 @@ def facade(shift):
     boxes += [made.box([x, 8.7, z], [1.2, 0.3, 1.5]) for x in np.arange(-19.5, 21, 1.5) for z in (2, 5, 8)]
     rays = made.turn(np.linspace(-45, 45, 48), 500)
     return made.scanned(boxes, [shift, 0, 1.4], 0, rays, 14, 0.008, np.random.default_rng(int(shift)))
+
+
+def stairs(end):
+    """A scan of spiral stairs, the source or the target of a pair of `tests/bench/alike_pairs.py`."""
+    sys.path.append(str(DOCS.parent / "tests/bench"))
+    import alike_pairs
+
+    points = getattr(alike_pairs.make("stairs", 62), end)
+    return points[np.abs(points[:, 2]) < 2.5]
 
 
 def sweeps(name):
@@ -96,7 +106,8 @@ def many_fragments(data):
 
 
 MADE = {
-    "facade": partial(facade, 0), "facade_moved": partial(facade, 3.0), "sweep": partial(sweeps, "sweep"), "street": partial(sweeps, "street"), "aerial": aerial,
+    "facade": partial(facade, 0), "facade_moved": partial(facade, 3.0), "stairs": partial(stairs, "target"), "stairs_above": partial(stairs, "source"),
+    "sweep": partial(sweeps, "sweep"), "street": partial(sweeps, "street"), "aerial": aerial,
 }  # fmt: skip
 NAMES = dict(
     chair="Chair_1", armchair="Chair_3", stool="painted_wooden_stool_1k", skull="Skull", bolt="factory_bolt_m20_loose",

@@ -34,9 +34,9 @@ mod tests {
     fn a_corner_has_more_than_an_edge_and_that_more_than_a_plane() {
         let grid = (0..40 * 40).map(|i| [(i % 40) as f32 * 0.05 - 1.0, (i / 40) as f32 * 0.05 - 1.0, 0.0]);
         let points: Vec<Point> = grid.collect();
-        let found = offsets(&points, &[[0.0; 3], [-1.0, 0.0, 0.0], [-1.0, -1.0, 0.0], [9.0; 3]], 0.4).unwrap();
-        assert!(found[0] < 0.01 && found[3] == 0.0, "{found:?}");
+        let shares = offsets(&points, &[[0.0; 3], [-1.0, 0.0, 0.0], [-1.0, -1.0, 0.0], [9.0; 3]], 0.4).unwrap();
+        assert!(shares[0] < 0.01 && shares[3] == 0.0, "{shares:?}");
         // The mean of a half disc lies 4 / 3π of its radius from the middle, that of a quarter √2 times as far.
-        assert!((found[1] - 0.42).abs() < 0.06 && (found[2] - 0.6).abs() < 0.08, "{found:?}");
+        assert!((shares[1] - 0.42).abs() < 0.06 && (shares[2] - 0.6).abs() < 0.08, "{shares:?}");
     }
 }

@@ -92,13 +92,13 @@ fn corners_come_first_where_they_are_preferred() {
     let (points, field) = cylinder();
     let options =
         DetectOptions { nms_radius: Some(0.2.into()), refine_steps: 0, saliency_threshold: 0.0, ..Default::default() };
-    let found = |prefer| field.detect(&options.with_prefer(prefer)).unwrap().keypoints;
-    let corners = found(Preference::Corners);
+    let preferring = |prefer| field.detect(&options.with_prefer(prefer)).unwrap().keypoints;
+    let corners = preferring(Preference::Corners);
     let positions: Vec<_> = corners.iter().map(|keypoint| keypoint.position).collect();
     let offsets = offsets(&points, &positions, RADIUS * field.voxel_size()).unwrap();
     let ranks: Vec<f32> = corners.iter().zip(offsets).map(|(keypoint, offset)| keypoint.saliency + offset).collect();
     assert!(corners.len() > 5 && ranks.is_sorted_by(|a, b| a >= b), "{ranks:?}");
-    assert_ne!(corners, found(Preference::Salient));
+    assert_ne!(corners, preferring(Preference::Salient));
 }
 
 #[test]

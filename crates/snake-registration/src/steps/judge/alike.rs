@@ -1,7 +1,7 @@
 //! Motions under which a cloud looks like itself: a step of spiral stairs, the pitch of a row, a storey,
 //! a half turn of a room.
 
-use nalgebra::{DMatrix, DMatrixView, DVectorView};
+use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
 
 use super::tuning::TUNING;
 use crate::steps::consensus::consensus;
@@ -30,6 +30,20 @@ pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[Self
         slot.get_or_init(|| motions.iter().map(|motion| (*motion.isometry(), support(motion.isometry()))).collect());
     }
     Ok(slot.get().map(Vec::as_slice).unwrap_or_default())
+}
+
+/// The support of all motions that turn about the axis of one, or slide along its direction. A ring of equal
+/// columns looks like itself after so many turns that few matches agree with each.
+pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f64>) -> f64 {
+    let turns = |motion: &IsometryMatrix3<f64>| motion.rotation.angle() > TUNING.max_slide_turn.to_radians();
+    let direction = |motion: &IsometryMatrix3<f64>| match motion.rotation.axis() {
+        Some(axis) if turns(motion) => axis.into_inner(),
+        _ => motion.translation.vector.normalize(),
+    };
+    let is_like = |(other, _): &&SelfMotion| {
+        turns(other) == turns(motion) && direction(other).dot(&direction(motion)).abs() > TUNING.repeat_parallel
+    };
+    motions.iter().filter(is_like).map(|(_, support)| support).sum()
 }
 
 /// Some of the keypoints, each with the keypoint of the nearest descriptor that is not near it.
@@ -64,7 +78,7 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{IsometryMatrix3, Vector3};
+    use nalgebra::Vector3;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 

@@ -77,8 +77,8 @@ pub(crate) fn judge_counted(
 }
 
 /// Tries other answers on purpose beside a transform that is reliable or ambiguous: the turns that
-/// lay the planes of the overlap on planes, and the shifts after which details of the target
-/// repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
+/// lay the planes of the overlap on planes, the motions under which a cloud looks like itself, and the shifts after which
+/// details of the target repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
 /// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
 /// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a mirror image fits better, or if scans that it puts at one place differ.
 ///

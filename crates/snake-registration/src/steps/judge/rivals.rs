@@ -1,15 +1,15 @@
-//! Other answers that are tried on purpose: the winner after a turn, a reflection or a shift under
-//! which the clouds look alike, and after the motions under which one of them looks like itself.
+//! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
+//! which one of the clouds looks like itself, after a shift under which details repeat, and after a reflection.
 
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
-use super::alike::self_motions;
+use super::alike::{self_motions, shared_support};
 use super::open_motions::axis_name;
 use super::repeats::axes;
 use super::shifts::{Shift, shifts};
 use super::tuning::TUNING;
-use super::turns::{Turn, after_turns, reflections, turns};
+use super::turns::{after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
 use crate::cloud::patches::{self, FineCloud, Place, overlap};
 use crate::cloud::surface::{Surface, coarse_step};
@@ -24,10 +24,12 @@ use snake_geometry::Vector;
 /// What leads from the winner to its rival.
 #[derive(Debug, Clone, Copy)]
 enum Motion {
-    Turn(Turn),
+    Mirror,
     Shift(Shift),
-    /// A motion under which one of the clouds looks like itself.
-    Alike,
+    /// A turn, or a motion under which one of the clouds looks like itself, and whether matches enough agree with it.
+    Alike {
+        has_support: bool,
+    },
 }
 
 /// Another answer, compared with the winner place by place.
@@ -36,11 +38,8 @@ pub(super) struct Rival {
     pub(super) transform: IsometryMatrix3<f64>,
     motion: Motion,
     counts: Counts,
-    /// Whether the sensors of both clouds are known, so that free space is.
-    is_signed: bool,
     /// Whether the winner puts the sensors of both clouds at one place.
     is_standing: bool,
-    inlier_distance: f64,
     /// The root mean square distance by which it moves the source from where the winner puts it.
     moved: f64,
 }
@@ -82,60 +81,42 @@ impl Counts {
 impl Rival {
     /// Whether the rival is a mirror image of the source, which no rigid motion gives.
     pub(super) fn is_mirrored(&self) -> bool {
-        matches!(self.motion, Motion::Turn(Turn { degrees: None, .. }))
+        matches!(self.motion, Motion::Mirror)
     }
 
-    /// Whether the rival explains the clouds about as well as the winner, and contradicts little of
-    /// what that explains; a mirror image must explain them better, whatever it contradicts.
-    ///
-    /// Of a shift only what it contradicts counts: clouds of one pattern of rays coincide point by
-    /// point wherever they are a period apart, so the winner leads by the whole of that.
+    /// Whether the rival contradicts little of what tells it from the winner; a mirror image must explain
+    /// more, whatever it contradicts. What the winner alone explains does not count beyond that: clouds of one pattern of
+    /// rays coincide point by point wherever they are a period apart.
     pub(super) fn is_equal(&self) -> bool {
-        let [lead, contradicted] = if self.is_signed { TUNING.turn_signed } else { TUNING.turn_unsigned };
-        let (max_lead, max_contradicted) = match self.motion {
-            Motion::Alike => {
-                let explains_more = self.counts.rival as f64 >= TUNING.min_self_share * self.counts.winner as f64;
-                let limit = match (self.is_standing, explains_more) {
-                    (true, _) => TUNING.self_contradicted[2],
-                    (false, explains_more) => TUNING.self_contradicted[usize::from(explains_more)],
-                };
-                return self.counts.contradicted_of_telling() <= limit;
-            }
-            Motion::Turn(Turn { degrees: None, .. }) => (-TUNING.mirror_lead, f64::INFINITY),
-            Motion::Turn(_) => (lead, contradicted),
-            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
-                (f64::INFINITY, TUNING.better_contradicted)
-            }
-            Motion::Shift(Shift { by, .. }) => {
-                let is_long = by.norm() > TUNING.short_shift * self.inlier_distance;
-                (f64::INFINITY, TUNING.shift_contradicted[usize::from(is_long)])
-            }
+        let [usual, explaining, standing] = TUNING.self_contradicted;
+        let explains_more = self.counts.rival as f64 >= TUNING.min_self_share * self.counts.winner as f64;
+        let limit = match self.motion {
+            Motion::Mirror => return self.counts.lead() <= -TUNING.mirror_lead,
+            Motion::Shift(Shift { is_better: true, .. }) => standing,
+            Motion::Shift(_) | Motion::Alike { .. } if self.is_standing => standing,
+            Motion::Shift(_) | Motion::Alike { has_support: true } if explains_more => explaining,
+            Motion::Shift(_) | Motion::Alike { .. } => usual,
         };
-        self.counts.lead() <= max_lead && self.counts.contradicted() <= max_contradicted
+        self.counts.contradicted_of_telling() <= limit
     }
 
     /// Of the places that the winner explains, the share that this shift of it, or motion under which
-    /// a cloud looks like itself, explains too; 0 for turns.
+    /// a cloud looks like itself, explains too; 0 for a mirror image.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
-            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
-            Motion::Turn(_) => 0.0,
+            Motion::Alike { .. } => 1.0 - self.counts.contradicted_of_telling(),
+            Motion::Mirror => 0.0,
         }
     }
 
     /// What is ambiguous beside a winner, in a sentence.
     pub(super) fn note(&self, winner: &IsometryMatrix3<f64>) -> String {
         match self.motion {
-            Motion::Turn(Turn { degrees: None, .. }) => {
+            Motion::Mirror => {
                 "a mirror image of the source fits better: one of the clouds may have a flipped axis".into()
             }
-            Motion::Turn(Turn { degrees: Some(degrees), axis, .. }) => format!(
-                "ambiguous: the clouds fit about as well after a turn by {degrees} degrees about {}, as the walls of a \
-                 room do",
-                axis_name(&axis)
-            ),
-            Motion::Alike => {
+            Motion::Alike { .. } => {
                 let angle = (self.transform.rotation * winner.rotation.inverse()).angle().to_degrees().round();
                 let by = self.transform.translation.vector - winner.translation.vector;
                 if angle == 0.0 {
@@ -161,7 +142,7 @@ fn repeat_note(what: &str, by: &Vector) -> String {
     )
 }
 
-/// The turns, reflections, shifts and other motions of the winner under which the clouds fit, with what tells them
+/// The turns, motions, shifts and reflections of the winner under which the clouds fit, with what tells them
 /// from the winner.
 pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
@@ -169,16 +150,18 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let patches = overlap(fine, winner, TUNING.patch_distance * distance).patches;
     let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
     let frame = [first, second, third];
-    let tried = match pair.criteria().gravity {
-        Some(axis) => turns(&[axis]),
-        None => [turns(&frame), reflections(&frame)].concat(),
+    let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike { has_support: false }, turn));
+    let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
+    let tried: Vec<_> = match pair.criteria().gravity {
+        // No cloud is mirrored.
+        Some(axis) => rotated(turns(&[axis])).collect(),
+        None => rotated(turns(&frame)).chain(mirrored(&frame)).collect(),
     };
-    let by_turn = after_turns(surfaces, winner, &tried, &frame);
+    let by_turn = after_turns(surfaces, winner, tried.into_iter(), &frame);
     let places = fine[0].places(winner, fine[1], distance, TUNING.shift_places);
     let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
     let fitting = Fitting::new(pair, winner, is_standing);
-    let by_turn = by_turn.into_iter().map(|(turn, guess)| (Motion::Turn(turn), guess));
-    let guesses: Vec<_> = by_turn.chain(fitting.alike()?).collect();
+    let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).collect();
     let fit = |(motion, guess)| fitting.fitted(motion, guess);
     let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
     if fitted.is_empty() && by_shift.is_empty() {
@@ -220,25 +203,27 @@ impl<'a, 'b> Fitting<'a, 'b> {
             (false, true) => TUNING.elsewhere,
             (false, false) => TUNING.min_unsigned_motion,
         };
-        let counts = |(motion, support): &&SelfMotion| {
-            *support >= TUNING.min_self_support || self.is_slide_of_one_place(&motion.rotation)
-        };
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
-            Ok::<_, snake_core::Error>(
-                motions.iter().filter(counts).flat_map(|(motion, _)| [*motion, motion.inverse()]).collect::<Vec<_>>(),
-            )
+            let supported = |of: &SelfMotion| {
+                let (motion, support) = of;
+                let has_support = *support >= TUNING.min_self_support || self.is_slide_of_one_place(&motion.rotation);
+                let counts = has_support || shared_support(motions, motion) >= TUNING.min_self_support;
+                counts.then_some((Motion::Alike { has_support }, *motion))
+            };
+            let both = |(kind, motion): (Motion, IsometryMatrix3<f64>)| [(kind, motion), (kind, motion.inverse())];
+            Ok::<_, snake_core::Error>(motions.iter().filter_map(supported).flat_map(both).collect::<Vec<_>>())
         };
-        let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
-        let from_target = motions(1)?.into_iter().map(|motion| motion * winner);
-        let mut guesses: Vec<IsometryMatrix3<f64>> = Vec::new();
-        for guess in from_target.chain(from_source) {
-            let differs = |other| displacement(&guess, other, &self.coarse) > 2.0 * distance;
+        let from_source = motions(0)?.into_iter().map(|(kind, motion)| (kind, winner * motion));
+        let from_target = motions(1)?.into_iter().map(|(kind, motion)| (kind, motion * winner));
+        let mut guesses: Vec<(Motion, IsometryMatrix3<f64>)> = Vec::new();
+        for (kind, guess) in from_target.chain(from_source) {
+            let differs = |(_, other): &(Motion, _)| displacement(&guess, other, &self.coarse) > 2.0 * distance;
             if displacement(&guess, winner, &self.coarse) > least * distance && guesses.iter().all(differs) {
-                guesses.push(guess);
+                guesses.push((kind, guess));
             }
         }
-        Ok(guesses.into_iter().map(|guess| (Motion::Alike, guess)).collect())
+        Ok(guesses)
     }
 
     /// Whether the sensors are at one place and hardly turn between two answers.
@@ -254,7 +239,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
         let min_fit = match motion {
-            Motion::Alike if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
+            Motion::Alike { .. } if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
@@ -285,7 +270,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         scene
     }
 
-    /// The rival near a transform that a turn or a motion led to; `None` if it contradicts too much.
+    /// The rival near a transform that a reflection or a motion led to; `None` if it contradicts too much.
     fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
         let is_hopeless = counts.contradicted() > TUNING.hopeless && counts.lead() > 0.0;
@@ -337,9 +322,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             transform,
             motion,
             counts: self.compare(&transform),
-            is_signed: self.fitting.pair.is_signed(),
             is_standing: self.fitting.is_slide_of_one_place(&turn),
-            inlier_distance: distance,
             moved: displacement(&transform, self.fitting.winner, &self.fitting.coarse),
         }))
     }
@@ -393,11 +376,9 @@ mod tests {
     fn a_mirror_image_that_explains_more_is_a_rival_whatever_it_contradicts() {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
-            motion: Motion::Turn(reflections(&[Vector::x()])[0]),
+            motion: Motion::Mirror,
             counts: Counts { both: 200, telling: 200, winner, rival },
-            is_signed: false,
             is_standing: false,
-            inlier_distance: 0.1,
             moved: 1.0,
         };
         assert!(mirrored(180, 500).is_equal());

@@ -1,6 +1,8 @@
 //! Turns and reflections of the source under which the large planes of the overlap lie on planes
 //! again: the walls of a room fit at two or four headings.
 
+use std::f64::consts::PI;
+
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
 
 use super::tuning::TUNING;
@@ -8,33 +10,16 @@ use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::moved;
 use snake_geometry::Vector;
 
-/// A turn or a reflection in the target's frame.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Turn {
-    /// The matrix; that of a reflection is no rotation.
-    matrix: Rotation3<f64>,
-    /// The axis; zero for the reflection in a point.
-    pub(super) axis: Vector,
-    /// The angle in degrees; `None` for a reflection.
-    pub(super) degrees: Option<u32>,
-}
-
 /// The quarter and half turns about the axes.
-pub(super) fn turns(axes: &[Vector]) -> Vec<Turn> {
-    let about = |&axis: &Vector| {
-        [90, 180, 270].map(|degrees| {
-            let matrix = Rotation3::from_scaled_axis(axis * f64::from(degrees).to_radians());
-            Turn { matrix, axis, degrees: Some(degrees) }
-        })
-    };
+pub(super) fn turns(axes: &[Vector]) -> Vec<Rotation3<f64>> {
+    let about = |&axis: &Vector| [0.5, 1.0, 1.5].map(|half_turns| Rotation3::from_scaled_axis(axis * half_turns * PI));
     axes.iter().flat_map(about).collect()
 }
 
-/// The reflections across each axis, and that in a point.
-pub(super) fn reflections(axes: &[Vector]) -> Vec<Turn> {
-    let across = |axis: &Vector| (Matrix3::identity() - 2.0 * axis * axis.transpose(), *axis);
-    let all = axes.iter().map(across).chain([(-Matrix3::identity(), Vector::zeros())]);
-    all.map(|(matrix, axis)| Turn { matrix: Rotation3::from_matrix_unchecked(matrix), axis, degrees: None }).collect()
+/// The reflections across each axis, and that in a point: their matrices are no rotations.
+pub(super) fn reflections(axes: &[Vector; 3]) -> Vec<Rotation3<f64>> {
+    let across = axes.iter().map(|axis| Matrix3::identity() - 2.0 * axis * axis.transpose());
+    across.chain([-Matrix3::identity()]).map(Rotation3::from_matrix_unchecked).collect()
 }
 
 /// How many voxels of a cloud lie on planes at each offset along three axes.
@@ -98,14 +83,14 @@ impl Offsets {
     }
 }
 
-/// The winner after each of the turns, moved so that planes lie on planes, where about as much of
-/// the source then lies on the target.
-pub(super) fn after_turns(
+/// The winner after each of some turns in the target's frame, moved so that planes lie on planes, where about as much of
+/// the source then lies on the target. Each turn is named by a tag.
+pub(super) fn after_turns<T: Copy>(
     surfaces: &[Surface; 2],
     winner: &IsometryMatrix3<f64>,
-    turns: &[Turn],
+    turns: impl Iterator<Item = (T, Rotation3<f64>)>,
     frame: &[Vector; 3],
-) -> Vec<(Turn, IsometryMatrix3<f64>)> {
+) -> Vec<(T, IsometryMatrix3<f64>)> {
     let [source, target] = surfaces;
     let (side, is_signed) = (source.grid.distance(), source.is_signed());
     let some = |surface: &Surface| (0..surface.points.len()).step_by(2 * coarse_step(surface.points.len()));
@@ -117,9 +102,8 @@ pub(super) fn after_turns(
     let min_meeting = TUNING.turn_planes * offsets(&at_rest).meeting(&on_target);
     let overlap = |transform: &_| indices.iter().filter(|&&i| source.is_on(i, target, transform)).count() as f64;
     let min_overlap = TUNING.turn_overlap * overlap(winner);
-    let best = |turn: &Turn| {
-        let places: Vec<_> =
-            at_rest.iter().map(|(point, normal)| (turn.matrix * point, turn.matrix * normal)).collect();
+    let best = |(tag, turn): (T, Rotation3<f64>)| {
+        let places: Vec<_> = at_rest.iter().map(|(point, normal)| (turn * point, turn * normal)).collect();
         let own = offsets(&places);
         let mut moves = vec![(Vector::zeros(), 0.0)];
         for (at, axis) in frame.iter().enumerate() {
@@ -132,14 +116,14 @@ pub(super) fn after_turns(
         moves.retain(|(_, sum)| *sum >= min_meeting);
         moves.sort_by(|a, b| b.1.total_cmp(&a.1));
         let tries = moves.into_iter().take(TUNING.turn_tries).map(|(to, _)| {
-            let translation = Translation3::from(turn.matrix * winner.translation.vector + to);
-            let transform = IsometryMatrix3::from_parts(translation, turn.matrix * winner.rotation);
+            let translation = Translation3::from(turn * winner.translation.vector + to);
+            let transform = IsometryMatrix3::from_parts(translation, turn * winner.rotation);
             (overlap(&transform), transform)
         });
         let (overlap, transform) = tries.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        (overlap >= min_overlap).then_some((*turn, transform))
+        (overlap >= min_overlap).then_some((tag, transform))
     };
-    turns.iter().filter_map(best).collect()
+    turns.filter_map(best).collect()
 }
 
 #[cfg(test)]
@@ -161,7 +145,7 @@ mod tests {
     #[test]
     fn turns_are_rotations_and_reflections_are_not() {
         let frame = [Vector::x(), Vector::y(), Vector::z()];
-        let determinants = |turns: Vec<Turn>| turns.iter().map(|t| t.matrix.matrix().determinant()).collect::<Vec<_>>();
+        let determinants = |all: Vec<Rotation3<f64>>| all.iter().map(|r| r.matrix().determinant()).collect::<Vec<_>>();
         assert!(determinants(turns(&frame)).iter().all(|d| (d - 1.0).abs() < 1e-12));
         assert!(determinants(reflections(&frame)).iter().all(|d| (d + 1.0).abs() < 1e-12));
     }
