@@ -94,8 +94,8 @@ def objects_part(alike: tuple[dict, str], corners: str, paper_tables: str) -> st
 
 Relative repeatability on {report["pairs"]} objects: the share of keypoints of one view that the other view, rotated at random and sampled
 anew, finds again within ε (in units of the object's radius), with 5000 points and the best 64 keypoints of each view. `snake` is
-`compact`, `snakex4` is `standard`, `corners` is `--prefer corners`. Coverage is the mean distance from the points to the nearest keypoint. Each method keeps its keypoints
-as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Thinned (1 in N) and noisy (σ) views are
+`compact`, `snakex4` is `standard`, `corners` is `--prefer corners`. Coverage is the mean distance from the points to the nearest keypoint.
+Each method keeps its keypoints as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Thinned (1 in N) and noisy (σ) views are
 at ε 0.04:
 
 {with_corners(joined(tables, "0.04"), joined(corners, "0.04"))}
