@@ -36,8 +36,10 @@ def test_of_the_figures_beyond_chance_one_column_is_shown():
 
 
 def test_parts_hold_their_tables():
-    text = results.objects_part(({"pairs": 4}, table("A")), table("B"))
+    corners = table("C").replace("TABLE C", "snakex4")
+    text = results.objects_part(({"pairs": 4}, table("A")), corners, table("B"))
     assert re.findall("TABLE .", text) == ["TABLE A", "TABLE B"] and "on 4 objects" in text
+    assert "| TABLE A | 0.5 |\n| snakex4, corners | 0.5 |\n" in text
     tables = "".join(
         f"{title}:\n\n| keypoints | 500 |\n|---|---|\n| {title[:3]} | 1 |\n\n"
         for title in ("Feature", "Inlier", "Registration recall")

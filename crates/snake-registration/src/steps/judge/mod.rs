@@ -36,6 +36,9 @@ use standing::{contradicted_at_one_place, standing_note};
 use together::{Together, moved_together};
 pub use tuning::{TUNING, Tuning};
 
+/// Number of rivals that notes name: a ring of columns has many.
+const MAX_NOTES: usize = 3;
+
 /// The registration by the best of the candidates, which come best first: how well it fits, and
 /// whether it can be relied on given the others.
 ///
@@ -107,7 +110,8 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     // Finer voxels would not tell which part moved.
     let at_rest = if together.is_some() { 1.0 } else { verdict.repeat_fit };
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
-    verdict.notes.splice(0..0, equal.iter().map(|rival| rival.note(transform)));
+    // Shifts come last, and are named first.
+    verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());
     registration.hypotheses.splice(1..1, others);

@@ -92,8 +92,10 @@ impl Rival {
         let explains_more = self.counts.rival as f64 >= TUNING.min_self_share * self.counts.winner as f64;
         let limit = match self.motion {
             Motion::Mirror => return self.counts.lead() <= -TUNING.mirror_lead,
-            Motion::Shift(Shift { is_better: true, .. }) => standing,
-            Motion::Shift(_) | Motion::Alike { .. } if self.is_standing => standing,
+            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
+                return self.counts.contradicted() <= standing;
+            }
+            Motion::Alike { .. } if self.is_standing => standing,
             Motion::Shift(_) | Motion::Alike { has_support: true } if explains_more => explaining,
             Motion::Shift(_) | Motion::Alike { .. } => usual,
         };
