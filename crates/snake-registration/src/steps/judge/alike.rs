@@ -89,6 +89,20 @@ mod tests {
     use snake_core::Point;
 
     #[test]
+    fn motions_about_one_axis_share_their_support() {
+        let turn = |axis: Vector3<f64>, degrees: f64| {
+            (IsometryMatrix3::new(Vector3::new(1.0, 2.0, 0.0), axis * degrees.to_radians()), 0.02)
+        };
+        let slide = |by: Vector3<f64>| (IsometryMatrix3::new(by, Vector3::zeros()), 0.05);
+        let mut motions: Vec<SelfMotion> = [18.0, 36.0, -54.0].map(|degrees| turn(Vector3::z(), degrees)).to_vec();
+        motions.extend([turn(Vector3::x(), 90.0), slide(Vector3::z()), slide(-2.0 * Vector3::z())]);
+        let support = |at: usize| shared_support(&motions, &motions[at].0);
+        for (at, expected) in [(0, 0.06), (3, 0.02), (4, 0.1)] {
+            assert!((support(at) - expected).abs() < 1e-12, "{at}: {}", support(at));
+        }
+    }
+
+    #[test]
     fn a_cloud_that_has_a_part_twice_looks_like_itself_under_the_motion_between_them() {
         let motion = IsometryMatrix3::new(Vector3::new(6.0, 1.0, 0.5), Vector3::new(0.0, 0.0, 0.7));
         // Six boxes, sampled on their faces.

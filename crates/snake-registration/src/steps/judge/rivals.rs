@@ -272,7 +272,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         scene
     }
 
-    /// The rival near a transform that a reflection or a motion led to; `None` if it contradicts too much.
+    /// The rival near a transform that a turn, a reflection or a motion led to; `None` if it contradicts too much.
     fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
         let is_hopeless = counts.contradicted() > TUNING.hopeless && counts.lead() > 0.0;
