@@ -33,6 +33,8 @@ pub struct UsedCloud<'a> {
     is_sweep: OnceLock<bool>,
     scene_signs: OnceLock<Option<[f64; NUM_SIGNS]>>,
     coordinate_step: OnceLock<Option<CoordinateStep>>,
+    /// The size of voxels that suits its density, as a step of the [series](crate::lattice::voxel_size).
+    pub(crate) voxel_step: OnceLock<i32>,
 }
 
 impl<'a> UsedCloud<'a> {
@@ -46,8 +48,8 @@ impl<'a> UsedCloud<'a> {
 
     /// The used points of a cloud of `num_given` points.
     pub(crate) fn from_finite(finite: FinitePoints<'a>, num_given: usize) -> Self {
-        let (is_sweep, scene_signs, coordinate_step) = Default::default();
-        Self { finite, num_given, is_sweep, scene_signs, coordinate_step }
+        let (is_sweep, scene_signs, coordinate_step, voxel_step) = Default::default();
+        Self { finite, num_given, is_sweep, scene_signs, coordinate_step, voxel_step }
     }
 
     /// The points that are used, in the order they were given.
@@ -92,8 +94,8 @@ impl<'a> UsedCloud<'a> {
 
     /// The same cloud, copied if it is borrowed.
     pub fn into_owned(self) -> UsedCloud<'static> {
-        let Self { finite, num_given, is_sweep, scene_signs, coordinate_step } = self;
-        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs, coordinate_step }
+        let Self { finite, num_given, is_sweep, scene_signs, coordinate_step, voxel_step } = self;
+        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs, coordinate_step, voxel_step }
     }
 
     pub(crate) fn into_finite(self) -> FinitePoints<'a> {

@@ -50,7 +50,7 @@ const STEPS_OF_HALF: i32 = 3;
 pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, control: &Control) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
-        None => chosen(cloud, cloud.coordinate_step(), control).map(|size| size as f32),
+        None => chosen(cloud, control).map(|size| size as f32),
     }
 }
 
@@ -59,13 +59,23 @@ pub(crate) fn coarse_step(given: Option<Length>, cloud: &UsedCloud) -> Option<Co
     let step = cloud.coordinate_step()?;
     let size = match given {
         Some(size) => size.in_units("voxel_size", cloud.points()).ok()?,
-        None => chosen(cloud, None, &Control::default()).ok()?,
+        None => size_of(step_for_density(cloud, &Control::default()).ok()?),
     };
     (size < step.length).then_some(step)
 }
 
-/// The size of the rule for coordinates with a step.
-fn chosen(cloud: &UsedCloud, coordinate_step: Option<CoordinateStep>, control: &Control) -> Result<f64> {
+/// The size of the rule.
+fn chosen(cloud: &UsedCloud, control: &Control) -> Result<f64> {
+    let step = step_for_density(cloud, control)?;
+    let least = cloud.coordinate_step().map(|CoordinateStep { length, .. }| step_of(length));
+    Ok(size_of(step.max(least.unwrap_or(step))))
+}
+
+/// The step of the series of the rule, but for the step of the coordinates. The cloud keeps it.
+fn step_for_density(cloud: &UsedCloud, control: &Control) -> Result<i32> {
+    if let Some(step) = cloud.voxel_step.get() {
+        return Ok(*step);
+    }
     let points = cloud.points();
     let lowest = lowest_corner(points);
     let extent = points.iter().map(|point| offset(point, &lowest).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max);
@@ -75,13 +85,11 @@ fn chosen(cloud: &UsedCloud, coordinate_step: Option<CoordinateStep>, control: &
     }
     let largest = step_of(extent);
     let share = SHARES[usize::from(cloud.is_sweep())];
-    let (places, mut too_small) = num_places(points, &lowest, largest, share, control)?;
+    let numbers = numbers_of_halves(points, &lowest, largest, share, control)?;
+    let (&(mut too_small, places), larger) = numbers.split_last().expect("one voxel as large as the cloud");
     let most = MAX_VOXELS.min((share * places as f64) as usize).max(1);
-    if let Some(CoordinateStep { length, .. }) = coordinate_step {
-        too_small = too_small.max((step_of(length) - 1).min(largest));
-    }
-    // The smallest step that has few enough voxels; one voxel as large as the cloud is always few enough.
-    let mut fits = largest + 1;
+    // The smallest step that has few enough voxels.
+    let mut fits = larger.iter().rfind(|(_, number)| *number <= most).map_or(largest + 1, |(step, _)| *step);
     while fits - too_small > 1 {
         control.check()?;
         let middle = too_small + (fits - too_small) / 2;
@@ -92,25 +100,34 @@ fn chosen(cloud: &UsedCloud, coordinate_step: Option<CoordinateStep>, control: &
         control.check()?;
         fits += 1;
     }
-    Ok(size_of(fits))
+    Ok(*cloud.voxel_step.get_or_init(|| fits))
 }
 
-/// The number of places of the surface that the points tell apart, and a step of the series at which voxels are too small for a
-/// share of them. Beyond the budget of voxels places are not counted.
-fn num_places(points: &[Point], lowest: &Point, largest: i32, share: f64, control: &Control) -> Result<(usize, i32)> {
+/// The numbers of voxels at steps from a voxel as large as the cloud down by halves. The last one is the number of places of
+/// the surface that the points tell apart, and voxels of its step are too small for a share of them. Beyond the budget of
+/// voxels places are not counted.
+fn numbers_of_halves(
+    points: &[Point],
+    lowest: &Point,
+    largest: i32,
+    share: f64,
+    control: &Control,
+) -> Result<Vec<(i32, usize)>> {
     let smallest = largest - 6 * STEPS;
     let (mut step, mut number) = (largest, 1);
+    let mut numbers = vec![(largest + 1, number)];
     while step > smallest && share * (number as f64) < MAX_VOXELS as f64 {
         control.check()?;
         step -= STEPS_OF_HALF;
         let more = num_voxels(points, lowest, size_of(step));
         let is_all = (more as f64) < NO_MORE * number as f64 && more * MAX_POINTS_A_PLACE >= points.len();
         number = more;
+        numbers.push((step, number));
         if is_all {
             break;
         }
     }
-    Ok((number, step))
+    Ok(numbers)
 }
 
 /// Whether the volume of a cloud in voxels of a size has at most [`MAX_BLOCKS`] blocks.
@@ -149,7 +166,7 @@ fn num_voxels(points: &[Point], lowest: &Point, size: f64) -> usize {
 
 /// The place of a point's voxel, as the [lattice](super::corner) has them: 21 bits each of z, y and x.
 fn key(point: &Point, lowest: &Point, size: f64) -> u64 {
-    let [x, y, z] = offset(point, lowest).map(|v| (v / size + 0.5).floor() as i64 as u64 & 0x1F_FFFF);
+    let [x, y, z] = offset(point, lowest).map(|v| (v / size + 0.5) as i64 as u64 & 0x1F_FFFF);
     (z << 42) | (y << 21) | x
 }
 
@@ -171,7 +188,7 @@ mod tests {
 
     fn size(points: &[Point]) -> f64 {
         let cloud = UsedCloud::new(points).unwrap();
-        chosen(&cloud, cloud.coordinate_step(), &Control::default()).unwrap()
+        chosen(&cloud, &Control::default()).unwrap()
     }
 
     #[test]
@@ -256,7 +273,7 @@ mod tests {
         let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
         for points in [all_scales, mixed] {
             let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
-            let size = chosen(&cloud, None, &Control::default()).unwrap();
+            let size = chosen(&cloud, &Control::default()).unwrap();
             let lowest = lowest_corner(&points);
             assert!(is_within_budget(&points, &lowest, size), "{size}");
             assert!(!is_within_budget(&points, &lowest, size / 100.0), "{size}");

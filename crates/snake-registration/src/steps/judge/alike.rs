@@ -51,6 +51,7 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let points: Vec<Vector> = cloud.keypoints().into_iter().map(vector).collect();
     let squared_distance = (TUNING.elsewhere * cloud.lengths.inlier_distance).powi(2);
     let all = DMatrixView::from_slice(rows.values(), rows.dimension(), rows.len());
+    let transposed = all.transpose();
     // The row b nearest to a has the greatest a·b - |b|²/2.
     let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
     let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.self_matches).max(1)).collect();
@@ -66,7 +67,7 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     };
     let matches = |chosen: &[usize]| {
         let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
-        let products = all.tr_mul(&own);
+        let products = &transposed * own;
         chosen
             .iter()
             .zip(products.column_iter())
