@@ -5,8 +5,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::{Cloud, Control, Point, Result};
+use snake_detectors::{Protocol, Response};
 use snake_geometry::FinitePoints;
-use snake_registration::detectors::{self, Protocol, Response};
 
 use crate::arrays::{self, named};
 use crate::error::py_error;
@@ -51,15 +51,15 @@ macro_rules! baselines {
             seed: u64,
             options: Option<&Bound<'py, PyDict>>,
         ) -> PyResult<Found<'py>> {
-            let options: detectors::$options = options::of(stringify!($name), options)?;
+            let options: snake_detectors::$options = options::of(stringify!($name), options)?;
             let protocol = named("protocol", protocol, [("ranked", Protocol::Ranked), ("paper", Protocol::Paper)])?;
             if protocol == Protocol::Paper && count.is_none() {
                 return Err(PyValueError::new_err("option `count` is None: protocol paper needs a number"));
             }
             let count = count.unwrap_or(usize::MAX);
             responses(points, |points, control| {
-                let detect = |points: &[Point]| detectors::$detect(points, &options, control);
-                detectors::select_keypoints(points, detect, count, protocol, seed)
+                let detect = |points: &[Point]| snake_detectors::$detect(points, &options, control);
+                snake_detectors::select_keypoints(points, detect, count, protocol, seed)
             })
         }
     )+ };
@@ -95,7 +95,7 @@ baselines! {
 /// array or count.
 #[pyfunction]
 pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResult<Found<'py>> {
-    responses(points, |points, _| detectors::Detector::Fps.keypoints(points, count, Protocol::Ranked, 0))
+    responses(points, |points, _| snake_detectors::Detector::Fps.keypoints(points, count, Protocol::Ranked, 0))
 }
 
 /// Random points without replacement: indices (K,) int64 into `points` (N, 3) and scores (K,) float64, best first.
@@ -103,5 +103,5 @@ pub fn farthest_points<'py>(points: &Bound<'py, PyAny>, count: usize) -> PyResul
 #[pyfunction]
 #[pyo3(signature = (points, count, seed=0))]
 pub fn random_points<'py>(points: &Bound<'py, PyAny>, count: usize, seed: u64) -> PyResult<Found<'py>> {
-    responses(points, |points, _| detectors::Detector::Random.keypoints(points, count, Protocol::Ranked, seed))
+    responses(points, |points, _| snake_detectors::Detector::Random.keypoints(points, count, Protocol::Ranked, seed))
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 use snake_core::{
     Builtin, DetectOptions, EncodeOptions, MeshOptions, OptionGroup, OptionInfo, OptionKind, Options, Preset,
 };
-use snake_registration::detectors::{Harris3dOptions, IssOptions, Sift3dOptions, SurfaceVariationOptions};
+use snake_detectors::{Harris3dOptions, IssOptions, Sift3dOptions, SurfaceVariationOptions};
 use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
 
 const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options";

@@ -2,8 +2,8 @@
 //! result is finite or an error of one line.
 
 use snake_core::{Builtin, Length, Model, NormalizationMethod, Options, Point, Preset, Result, RigidTransform};
+use snake_detectors::{Detector, Protocol};
 use snake_eval::{Unreachable, relative_repeatability, semantic_counts};
-use snake_registration::detectors::{Detector, Protocol};
 use snake_registration::{RegisterOptions, estimate_normals, fpfh, register};
 
 /// Clouds with their names, and whether the network can detect keypoints in them.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use snake_core::{Builtin, Keypoint, Model, Point, RigidTransform, Tracker, TrackerOptions};
-use snake_registration::detectors::{IssOptions, iss};
+use snake_detectors::{IssOptions, iss};
 
 /// Maximum distance between a keypoint and its track, in metres; a keypoint is at the same place
 /// within half of it.

@@ -2,7 +2,7 @@
 //! without an initial guess, and says whether they can be relied on. Descriptors of two clouds are
 //! matched, transforms on which many matches agree are compared on the clouds, and ICP refines the
 //! best. Descriptors are FPFH or of a SNAKE model; keypoints are all voxels, or those of a model or
-//! of classical methods ([`detectors`]).
+//! of classical methods ([`Detector`]).
 //!
 //! ```text
 //! prepare     voxels, normals, sensors, keypoints         once for a cloud
@@ -27,8 +27,7 @@
 //! ```
 //!
 //! Folders: `steps/` are the steps and their tables of constants; `cloud/` is what they compute
-//! with: voxels, normals, surfaces, planar patches; `many/` aligns many clouds; `detectors/` are
-//! classical keypoints.
+//! with: voxels, normals, surfaces, planar patches; `many/` aligns many clouds.
 //!
 //! `t_target_source` maps a point from the source frame to the target frame:
 //! `p_target = R p_source + t`. Results have the same bits for any number of threads.
@@ -36,7 +35,6 @@
 #![forbid(unsafe_code)]
 
 mod cloud;
-pub mod detectors;
 mod many;
 mod options;
 mod register;
@@ -46,12 +44,12 @@ pub mod steps;
 mod tuning;
 
 pub use cloud::normals::{estimate_normals, estimate_normals_with};
-pub use detectors::Detector;
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{PreparedMap, register, register_pair, register_with};
 pub use result::{CloudReport, Fit, Hypothesis, Instance, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
+pub use snake_detectors::Detector;
 pub use steps::describe::describe_keypoints;
 pub use steps::describe::fpfh::{FPFH_DIMENSION, fpfh, fpfh_with};
 pub use steps::match_rows::mutual_nearest;

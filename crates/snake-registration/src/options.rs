@@ -3,9 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use snake_core::{Error, Model, Result};
+use snake_detectors::Detector;
 use snake_geometry::{Length, RigidTransform, Vector, options, setters};
-
-use crate::detectors::Detector;
 
 options! {
     /// Options of every registration, of two clouds by [`register`](crate::register()) and of many

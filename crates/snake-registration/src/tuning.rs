@@ -22,7 +22,57 @@ macro_rules! tuning {
         )+ }
 
         /// The values of the constants.
+        #[cfg(not(feature = "scan"))]
         pub const TUNING: Tuning = Tuning { $($name: $value),+ };
+
+        /// The values of the constants, one of them changed as `SNAKE_SCAN` says.
+        #[cfg(feature = "scan")]
+        pub static TUNING: std::sync::LazyLock<Tuning> = std::sync::LazyLock::new(|| Tuning {
+            $($name: $crate::tuning::scan::scanned(concat!(module_path!(), "::", stringify!($name)), $value)),+
+        });
     };
 }
 pub(crate) use tuning;
+
+/// What a constant changes, as `tests/bench/sensitivity.py` asks: `SNAKE_SCAN=snake_registration::cloud::planes::NAME=0.5`
+/// multiplies one constant.
+#[cfg(feature = "scan")]
+pub(crate) mod scan {
+    use std::num::NonZeroUsize;
+
+    pub(crate) trait Scanned {
+        fn times(self, factor: f64) -> Self;
+    }
+
+    macro_rules! scanned {
+        ($($type:ty: $times:expr;)+) => {
+            $(impl Scanned for $type {
+                fn times(self, factor: f64) -> Self {
+                    $times(self, factor)
+                }
+            })+
+        };
+    }
+    scanned! {
+        f32: |value: f32, factor: f64| value * factor as f32;
+        f64: |value: f64, factor: f64| value * factor;
+        i32: |value: i32, factor: f64| (f64::from(value) * factor).round() as i32;
+        usize: |value: usize, factor: f64| (value as f64 * factor).round() as usize;
+        NonZeroUsize: |value: NonZeroUsize, factor| NonZeroUsize::new(value.get().times(factor)).unwrap_or(value);
+        (f64, usize): |value: (f64, usize), factor: f64| (value.0.times(factor), value.1);
+    }
+
+    impl<T: Scanned, const N: usize> Scanned for [T; N] {
+        fn times(self, factor: f64) -> Self {
+            self.map(|value| value.times(factor))
+        }
+    }
+
+    pub(crate) fn scanned<T: Scanned>(name: &str, value: T) -> T {
+        let asked = std::env::var("SNAKE_SCAN").unwrap_or_default();
+        match asked.split_once('=') {
+            Some((of, factor)) if of == name => value.times(factor.parse().expect("a factor")),
+            _ => value,
+        }
+    }
+}

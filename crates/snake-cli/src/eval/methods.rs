@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use snake_core::{Builtin, Chooser, Control, DetectOptions, Length, NamedModel, Point};
+use snake_detectors::{Detector, Protocol};
 use snake_eval::ExternalKeypoints;
 use snake_eval::reports::Models;
 use snake_geometry::suppress_ranked;
-use snake_registration::detectors::{Detector, Protocol};
 
 use super::args::{EvalArguments, ProtocolName};
 use crate::setup::none_if_zero;

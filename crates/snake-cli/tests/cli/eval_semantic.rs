@@ -12,11 +12,8 @@ use super::{assert_refused, root, sample, snake, stderr, write_npy};
 pub(super) fn keypointnet() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let points = &snake_io::read_points(Path::new(&sample())).unwrap()[..600];
-    let farthest: Vec<usize> = snake_registration::detectors::farthest_points(points, 5)
-        .unwrap()
-        .iter()
-        .map(|response| response.index)
-        .collect();
+    let farthest: Vec<usize> =
+        snake_detectors::farthest_points(points, 5).unwrap().iter().map(|response| response.index).collect();
     let other = (0..600).find(|index| !farthest.contains(index)).unwrap();
     let rows: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z} 1\n")).collect();
     let header = "FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 600\nHEIGHT 1\nPOINTS 600\nDATA ascii\n";

@@ -22,7 +22,9 @@ use crate::steps::prepare::Pyramid;
 use crate::steps::{PreparedCloud, consensus, judge};
 
 /// A transform takes part in the pose graph if its probability of being wrong is at most this.
-const MAX_DOUBT: f64 = 1.0 - judge::TUNING.reliable;
+fn max_doubt() -> f64 {
+    1.0 - judge::TUNING.reliable
+}
 
 /// Poses that follow registrations.
 pub(super) struct Solved {
@@ -47,7 +49,7 @@ pub(super) fn solve(
     let probes: Vec<Vec<Vector>> = (0..pyramid.len()).map(|cloud| probes(pyramid.own(cloud))).collect();
     let distance = |pair: &[usize; 2]| pyramid.inlier_distance(pyramid.common(pair));
     let all = all_doubts(pyramid, &registered, &probes);
-    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= MAX_DOUBT).collect();
+    let kept: Vec<usize> = (0..registered.len()).filter(|&i| all[i] <= max_doubt()).collect();
     let links: Vec<Link> = kept.iter().map(|&i| link(registered[i].0, &registered[i].1)).collect();
     let doubts: Vec<f64> = kept.iter().map(|&i| all[i]).collect();
     let thresholds: Vec<f64> = kept.iter().map(|&i| distance(&registered[i].0)).collect();
@@ -72,7 +74,7 @@ pub(super) fn solve(
 pub(super) fn believed(pyramid: &Pyramid, registered: &[Registered]) -> Vec<[usize; 2]> {
     let probes: Vec<Vec<Vector>> = (0..pyramid.len()).map(|cloud| probes(pyramid.own(cloud))).collect();
     let doubts = all_doubts(pyramid, registered, &probes).into_iter();
-    doubts.zip(registered).filter(|(doubt, _)| *doubt <= MAX_DOUBT).map(|(_, (pair, _))| *pair).collect()
+    doubts.zip(registered).filter(|(doubt, _)| *doubt <= max_doubt()).map(|(_, (pair, _))| *pair).collect()
 }
 
 /// The probability that each registration is wrong.

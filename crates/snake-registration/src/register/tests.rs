@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::detectors::Detector;
+use crate::Detector;
 use crate::options::Descriptor;
 use crate::rigid::tests::random_transform;
 use crate::rigid::transform_points;

@@ -3,6 +3,7 @@
 use super::instances::register_instances;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
+use crate::rigid::displacement;
 use crate::steps::judge::less_confident;
 use crate::steps::prepare::{Given, Level};
 use crate::steps::refine::refine_supported;
@@ -20,6 +21,8 @@ tuning! {
     candidates: usize = 40, unit "transforms", from "100 find no more on validation pairs";
     /// Number of transforms that are refined on all voxels.
     refined: usize = 12, unit "transforms", from "60 find no more on validation pairs";
+    /// A try on finer voxels confirms a transform that moves the source by less than this from its own.
+    confirmed: f64 = 0.5, unit "inlier distances", from "three of three right ones have 0.1 to 0.27";
 }
 
 /// One try: a row of [`TRIES`].
@@ -101,6 +104,8 @@ pub(crate) struct Search<'a, 'p> {
 struct Tried {
     best: Option<Registration>,
     matched: Option<Matched>,
+    /// The best of single matches, before what it costs in confidence.
+    single: Option<Registration>,
 }
 
 /// The matches of a pair, and the transforms that they and the options gave.
@@ -208,6 +213,7 @@ impl<'a, 'p> Search<'a, 'p> {
         let candidates = refine_supported(pair, matches, &voters, &guesses, self.options.icp_steps, count, control)?;
         let mut registration = judge(pair, matches, &candidates)?;
         challenge(pair, matches, &mut registration)?;
+        tried.single = Some(registration.clone());
         Ok(registration)
     }
 
@@ -220,11 +226,13 @@ impl<'a, 'p> Search<'a, 'p> {
             let verdict = &mut registration.verdict;
             verdict.confidence = verdict.confidence.min(judge::TUNING.max_doubtful);
             verdict.is_reliable = false;
+            verdict.notes.push("not confirmed on finer voxels".into());
         }
         Ok(registration)
     }
 
-    /// The tries of matches on voxels of a third of the side, with the result so far among the guesses.
+    /// The tries of matches on voxels of a third of the side, with the result so far among the guesses. If they find
+    /// what single matches had found, they confirm it.
     fn on_finer_voxels(&self, tried: &mut Tried) -> Result<Registration> {
         let none = || Error::NoTransform { reason: "the clouds are not finer than their voxels".into() };
         let (given, level) = self.given.ok_or_else(none)?;
@@ -234,8 +242,19 @@ impl<'a, 'p> Search<'a, 'p> {
         let finer = Search { pair: &pair, guesses: &guesses, effort: Effort::Usual, given: None, ..*self };
         match finer.run() {
             Err(error) if !matches!(error, Error::Cancelled | Error::DeadlineExceeded) => Err(none()),
+            Ok(found) if !found.verdict.is_reliable => Ok(self.confirmed(&found, tried).unwrap_or(found)),
             outcome => outcome,
         }
+    }
+
+    /// The result of single matches, if it is the best so far and another try found the same.
+    fn confirmed(&self, found: &Registration, tried: &mut Tried) -> Option<Registration> {
+        let single = tried.single.take()?;
+        let is_best = tried.best.as_ref().is_some_and(|best| best.t_target_source == single.t_target_source);
+        let points = self.pair.surfaces()[0].points;
+        let moved = displacement(found.t_target_source.isometry(), single.t_target_source.isometry(), points);
+        let is_same = moved < TUNING.confirmed * single.fit.inlier_distance;
+        (is_best && is_same && found.verdict.repeat_fit <= judge::TUNING.repeated).then_some(single)
     }
 }
 

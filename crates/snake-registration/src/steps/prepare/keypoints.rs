@@ -4,9 +4,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::voxel_cloud::VoxelCloud;
-use crate::detectors::{Detector, Protocol};
 use crate::options::RegisterOptions;
 use snake_core::{Control, Result};
+use snake_detectors::{Detector, Protocol};
 use snake_geometry::{Point, suppress_to_count};
 
 impl VoxelCloud {

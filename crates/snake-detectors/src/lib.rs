@@ -9,6 +9,8 @@
 //!
 //! A new detector is a file here and a row of the table of [`Detector`].
 
+#![forbid(unsafe_code)]
+
 mod farthest_point;
 mod harris3d;
 mod iss;
@@ -147,7 +149,7 @@ impl Detector {
     /// random choices; with [`Protocol::Ranked`] only random points use it.
     ///
     /// ```
-    /// use snake_registration::detectors::{Detector, Protocol};
+    /// use snake_detectors::{Detector, Protocol};
     /// # let points: Vec<[f32; 3]> = (0..500).map(|i| { let a = i as f32 * 0.1; [a.cos(), a.sin(), (a * 0.3).sin()] }).collect();
     /// let keypoints = Detector::Iss.keypoints(&points, 16, Protocol::Ranked, 0)?;
     /// assert!(keypoints.windows(2).all(|pair| pair[0].score >= pair[1].score));
