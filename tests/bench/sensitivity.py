@@ -24,7 +24,7 @@ UNUSED = (
     "register/instances",
     "register/scale",
     "register/prepared_map",
-    "many/",
+    "many",
     "steps/votes",
     "steps/single_matches",
 )

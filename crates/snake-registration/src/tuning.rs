@@ -25,7 +25,7 @@ macro_rules! tuning {
         #[cfg(not(feature = "scan"))]
         pub const TUNING: Tuning = Tuning { $($name: $value),+ };
 
-        /// The values of the constants, one of them changed as `SNAKE_SCAN` says.
+        /// The values of the constants, changed as `SNAKE_SCAN` says.
         #[cfg(feature = "scan")]
         pub static TUNING: std::sync::LazyLock<Tuning> = std::sync::LazyLock::new(|| Tuning {
             $($name: $crate::tuning::scan::scanned(concat!(module_path!(), "::", stringify!($name)), $value)),+
@@ -35,7 +35,7 @@ macro_rules! tuning {
 pub(crate) use tuning;
 
 /// What a constant changes, as `tests/bench/sensitivity.py` asks: `SNAKE_SCAN=snake_registration::cloud::planes::NAME=0.5`
-/// multiplies one constant.
+/// multiplies a constant; several are separated by commas.
 #[cfg(feature = "scan")]
 pub(crate) mod scan {
     use std::num::NonZeroUsize;
@@ -70,9 +70,7 @@ pub(crate) mod scan {
 
     pub(crate) fn scanned<T: Scanned>(name: &str, value: T) -> T {
         let asked = std::env::var("SNAKE_SCAN").unwrap_or_default();
-        match asked.split_once('=') {
-            Some((of, factor)) if of == name => value.times(factor.parse().expect("a factor")),
-            _ => value,
-        }
+        let factors = asked.split(',').filter_map(|one| one.split_once('=')).filter(|(of, _)| *of == name);
+        factors.fold(value, |value, (_, factor)| value.times(factor.parse().expect("a factor")))
     }
 }

@@ -59,6 +59,15 @@ struct Patch {
     thickness: f64,
 }
 
+/// What surrounds a fine voxel.
+#[derive(Clone, Copy)]
+struct Surroundings {
+    /// The planar patch, if it is one.
+    patch: Option<Patch>,
+    /// The distance of the farthest of the nearest fine voxels: within it, gaps between beams are seen as surface.
+    radius: f64,
+}
+
 /// A point, with the normal of its patch if it is on a planar one.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
@@ -77,7 +86,7 @@ impl Place {
 /// A cloud in fine voxels, with normals that are computed when they are needed.
 pub(crate) struct FineCloud {
     cloud: Neighbors,
-    patches: Vec<OnceLock<Option<Patch>>>,
+    surroundings: Vec<OnceLock<Surroundings>>,
     /// Side of a fine voxel, in cloud units.
     pub(crate) side: f64,
     /// Whether the cloud is much finer than its voxels.
@@ -90,20 +99,25 @@ impl FineCloud {
         // The number of voxels of a surface follows from the square of their side.
         let side = voxel_size * TUNING.min_side.max((count as f64 / TUNING.max_voxels).sqrt());
         let means = voxel_means(points, side, &Counter::default())?;
-        let patches = (0..means.len()).map(|_| OnceLock::new()).collect();
+        let surroundings = (0..means.len()).map(|_| OnceLock::new()).collect();
         let is_finer = means.len() >= TUNING.min_ratio * count;
-        Ok(Self { cloud: Neighbors::new(means)?, patches, side, is_finer })
+        Ok(Self { cloud: Neighbors::new(means)?, surroundings, side, is_finer })
     }
 
     /// The planar patch around a point.
     fn patch(&self, index: usize) -> Option<Patch> {
-        *self.patches[index].get_or_init(|| {
+        self.surroundings(index).patch
+    }
+
+    fn surroundings(&self, index: usize) -> Surroundings {
+        *self.surroundings[index].get_or_init(|| {
             let near = self.cloud.nearest(&self.cloud.points[index], TUNING.neighbors);
-            let (_, radius) = *near.last()?;
+            let radius = near.last().map_or(0.0, |(_, distance)| *distance);
             let near: Vec<usize> = near.into_iter().map(|(index, _)| index).collect();
             let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
-            (across < TUNING.max_thickness * width && width > TUNING.min_width * radius * radius)
-                .then(|| Patch { normal, thickness: across.max(0.0).sqrt() })
+            let is_planar = across < TUNING.max_thickness * width && width > TUNING.min_width * radius * radius;
+            let patch = is_planar.then(|| Patch { normal, thickness: across.max(0.0).sqrt() });
+            Surroundings { patch, radius }
         })
     }
 
@@ -159,20 +173,23 @@ impl FineCloud {
         (0..points.len()).into_par_iter().step_by(step).filter_map(place).collect()
     }
 
-    /// Whether a place lies on the surface next to it; `None` where there is none near.
+    /// Whether a place lies on the surface next to it; `None` where there is none near, and where the place is in a gap
+    /// between samples.
     pub(crate) fn lies_on(&self, place: &Place, inlier_distance: f64) -> Option<bool> {
         let (nearest, distance) = *self.cloud.nearest(&place.point, NonZeroUsize::MIN).first()?;
         if distance > TUNING.near * inlier_distance {
             return None;
         }
         let offset = self.cloud.points[nearest] - place.point;
-        Some(match (&place.normal, self.patch(nearest)) {
-            (Some(normal), Some(patch)) => {
+        let Surroundings { patch, radius } = self.surroundings(nearest);
+        match (&place.normal, patch) {
+            (Some(normal), Some(patch)) => Some(
                 patch.normal.dot(normal).abs() > TUNING.agreeing_cosine
-                    && normal.dot(&offset).abs() < TUNING.max_offset * inlier_distance
-            }
-            _ => distance < TUNING.max_apart * inlier_distance,
-        })
+                    && normal.dot(&offset).abs() < TUNING.max_offset * inlier_distance,
+            ),
+            _ if distance < TUNING.max_apart * inlier_distance => Some(true),
+            _ => (distance > radius).then_some(false),
+        }
     }
 
     /// The point nearest to a place, if it is closer than `max_distance` and on a planar patch with

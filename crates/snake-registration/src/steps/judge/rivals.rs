@@ -15,7 +15,6 @@ use crate::cloud::patches::{self, FineCloud, Place, overlap};
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::displacement;
 use crate::steps::pair::Pair;
-use crate::steps::prepare::SelfMotion;
 use crate::steps::refine::icp::one_way_icp;
 use crate::steps::refine::patches::refine_on_patches;
 use snake_core::{Counter, Result};
@@ -26,10 +25,8 @@ use snake_geometry::Vector;
 enum Motion {
     Mirror,
     Shift(Shift),
-    /// A turn, or a motion under which one of the clouds looks like itself, and whether matches enough agree with it.
-    Alike {
-        has_support: bool,
-    },
+    /// A turn, or a motion under which one of the clouds looks like itself.
+    Alike,
 }
 
 /// Another answer, compared with the winner place by place.
@@ -47,6 +44,8 @@ pub(super) struct Rival {
 /// Numbers of places of both clouds.
 #[derive(Debug, Clone, Copy, Default)]
 struct Counts {
+    /// Places that the winner brings onto the other cloud.
+    winning: usize,
     /// Places that both transforms bring onto the other cloud.
     both: usize,
     /// Those of them that the two bring to different places: a floor agrees with all slides along it.
@@ -88,18 +87,18 @@ impl Rival {
     /// more, whatever it contradicts. What the winner alone explains does not count beyond that: clouds of one pattern of
     /// rays coincide point by point wherever they are a period apart.
     pub(super) fn is_equal(&self) -> bool {
-        let [usual, explaining, standing] = TUNING.self_contradicted;
-        let explains_more = self.counts.rival as f64 >= TUNING.min_self_share * self.counts.winner as f64;
-        let limit = match self.motion {
-            Motion::Mirror => return self.counts.lead() <= -TUNING.mirror_lead,
+        let [usual, at_one_place, shift] = TUNING.self_contradicted;
+        match self.motion {
+            Motion::Mirror => self.counts.lead() <= -TUNING.mirror_lead,
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
-                return self.counts.contradicted() <= standing;
+                self.counts.contradicted() <= shift
             }
-            Motion::Alike { .. } if self.is_standing => standing,
-            Motion::Shift(_) | Motion::Alike { has_support: true } if explains_more => explaining,
-            Motion::Shift(_) | Motion::Alike { .. } => usual,
-        };
-        self.counts.contradicted_of_telling() <= limit
+            _ if self.is_standing => self.counts.contradicted_of_telling() <= at_one_place,
+            _ => {
+                self.counts.both as f64 >= TUNING.min_both * self.counts.winning as f64
+                    && self.counts.contradicted_of_telling() <= usual
+            }
+        }
     }
 
     /// Of the places that the winner explains, the share that this shift of it, or motion under which
@@ -107,7 +106,7 @@ impl Rival {
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
-            Motion::Alike { .. } => 1.0 - self.counts.contradicted_of_telling(),
+            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Mirror => 0.0,
         }
     }
@@ -118,7 +117,7 @@ impl Rival {
             Motion::Mirror => {
                 "a mirror image of the source fits better: one of the clouds may have a flipped axis".into()
             }
-            Motion::Alike { .. } => {
+            Motion::Alike => {
                 let angle = (self.transform.rotation * winner.rotation.inverse()).angle().to_degrees().round();
                 let by = self.transform.translation.vector - winner.translation.vector;
                 if angle == 0.0 {
@@ -152,7 +151,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let patches = overlap(fine, winner, TUNING.patch_distance * distance).patches;
     let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
     let frame = [first, second, third];
-    let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike { has_support: false }, turn));
+    let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
     let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
     let tried: Vec<_> = match pair.criteria().gravity {
         // No cloud is mirrored.
@@ -207,22 +206,20 @@ impl<'a, 'b> Fitting<'a, 'b> {
         };
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
-            let supported = |of: &SelfMotion| {
-                let (motion, support) = of;
-                let has_support = *support >= TUNING.min_self_support || self.is_slide_of_one_place(&motion.rotation);
-                let counts = has_support || shared_support(motions, motion) >= TUNING.min_self_support;
-                counts.then_some((Motion::Alike { has_support }, *motion))
+            let is_supported = |motion: &IsometryMatrix3<f64>| {
+                self.is_slide_of_one_place(&motion.rotation)
+                    || shared_support(motions, motion) >= TUNING.min_self_support
             };
-            let both = |(kind, motion): (Motion, IsometryMatrix3<f64>)| [(kind, motion), (kind, motion.inverse())];
-            Ok::<_, snake_core::Error>(motions.iter().filter_map(supported).flat_map(both).collect::<Vec<_>>())
+            let supported = motions.iter().map(|(motion, _)| *motion).filter(is_supported);
+            Ok::<_, snake_core::Error>(supported.flat_map(|motion| [motion, motion.inverse()]).collect::<Vec<_>>())
         };
-        let from_source = motions(0)?.into_iter().map(|(kind, motion)| (kind, winner * motion));
-        let from_target = motions(1)?.into_iter().map(|(kind, motion)| (kind, motion * winner));
+        let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
+        let from_target = motions(1)?.into_iter().map(|motion| motion * winner);
         let mut guesses: Vec<(Motion, IsometryMatrix3<f64>)> = Vec::new();
-        for (kind, guess) in from_target.chain(from_source) {
+        for guess in from_target.chain(from_source) {
             let differs = |(_, other): &(Motion, _)| displacement(&guess, other, &self.coarse) > 2.0 * distance;
             if displacement(&guess, winner, &self.coarse) > least * distance && guesses.iter().all(differs) {
-                guesses.push((kind, guess));
+                guesses.push((Motion::Alike, guess));
             }
         }
         Ok(guesses)
@@ -241,7 +238,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
         let min_fit = match motion {
-            Motion::Alike { .. } if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
+            Motion::Alike if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
             _ => TUNING.rival_fit_share,
         };
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
@@ -336,6 +333,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         for (from, (transform, winner)) in transforms.into_iter().enumerate() {
             for (place, by_winner) in &self.sample[from] {
                 let Some(by_winner) = by_winner else { continue };
+                counts.winning += usize::from(*by_winner);
                 let moved = place.moved(&transform);
                 match (by_winner, self.explains(&moved, 1 - from)) {
                     (true, Some(true)) => {
@@ -379,7 +377,7 @@ mod tests {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
             motion: Motion::Mirror,
-            counts: Counts { both: 200, telling: 200, winner, rival },
+            counts: Counts { winning: 400, both: 200, telling: 200, winner, rival },
             is_standing: false,
             moved: 1.0,
         };

@@ -99,9 +99,9 @@ pub(super) fn after_turns<T: Copy>(
     let at_rest: Vec<(Vector, Vector)> =
         indices.iter().map(|&i| (moved(winner, &source.points[i]), winner.rotation * source.normals[i])).collect();
     let on_target = offsets(&some(target).map(|i| (target.points[i], target.normals[i])).collect::<Vec<_>>());
-    let min_meeting = TUNING.turn_planes * offsets(&at_rest).meeting(&on_target);
+    let min_meeting = TUNING.turn_share * offsets(&at_rest).meeting(&on_target);
     let overlap = |transform: &_| indices.iter().filter(|&&i| source.is_on(i, target, transform)).count() as f64;
-    let min_overlap = TUNING.turn_overlap * overlap(winner);
+    let min_overlap = TUNING.turn_share * overlap(winner);
     let best = |(tag, turn): (T, Rotation3<f64>)| {
         let places: Vec<_> = at_rest.iter().map(|(point, normal)| (turn * point, turn * normal)).collect();
         let own = offsets(&places);
