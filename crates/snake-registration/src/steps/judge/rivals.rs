@@ -44,8 +44,6 @@ pub(super) struct Rival {
 /// Numbers of places of both clouds.
 #[derive(Debug, Clone, Copy, Default)]
 struct Counts {
-    /// Places that the winner brings onto the other cloud.
-    winning: usize,
     /// Places that both transforms bring onto the other cloud.
     both: usize,
     /// Those of them that the two bring to different places: a floor agrees with all slides along it.
@@ -94,10 +92,7 @@ impl Rival {
                 self.counts.contradicted() <= shift
             }
             _ if self.is_standing => self.counts.contradicted_of_telling() <= at_one_place,
-            _ => {
-                self.counts.both as f64 >= TUNING.min_both * self.counts.winning as f64
-                    && self.counts.contradicted_of_telling() <= usual
-            }
+            _ => self.counts.contradicted_of_telling() <= usual,
         }
     }
 
@@ -237,10 +232,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
-        let min_fit = match motion {
-            Motion::Alike if is_slide || self.pair.is_signed() => TUNING.self_fit[usize::from(is_slide)],
-            _ => TUNING.rival_fit_share,
-        };
+        let min_fit = TUNING.rival_fit_shares[usize::from(is_slide)];
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
     }
 }
@@ -333,7 +325,6 @@ impl<'a, 'b> Scene<'a, 'b> {
         for (from, (transform, winner)) in transforms.into_iter().enumerate() {
             for (place, by_winner) in &self.sample[from] {
                 let Some(by_winner) = by_winner else { continue };
-                counts.winning += usize::from(*by_winner);
                 let moved = place.moved(&transform);
                 match (by_winner, self.explains(&moved, 1 - from)) {
                     (true, Some(true)) => {
@@ -377,7 +368,7 @@ mod tests {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
             motion: Motion::Mirror,
-            counts: Counts { winning: 400, both: 200, telling: 200, winner, rival },
+            counts: Counts { both: 200, telling: 200, winner, rival },
             is_standing: false,
             moved: 1.0,
         };
