@@ -64,7 +64,7 @@ struct Patch {
 struct Surroundings {
     /// The planar patch, if it is one.
     patch: Option<Patch>,
-    /// The distance of the farthest of the nearest fine voxels: within it, gaps between beams are seen as surface.
+    /// The distance of the farthest of the nearest fine voxels: a place that is nearer may lie in a gap between samples.
     radius: f64,
 }
 
@@ -259,5 +259,27 @@ impl Overlap {
     pub(crate) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
         let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < TUNING.max_side * voxel_size;
         (self.patches.len() >= TUNING.min_pairs && clouds.iter().all(is_fine)).then_some(self.coinciding)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_contradicts_dense_samples_and_not_a_gap_between_beams() {
+        let grid = |columns: usize, rows: usize, apart: f32| -> Vec<Point> {
+            (0..columns * rows).map(|i| [(i % columns) as f32 * 0.1, (i / columns) as f32 * apart, 0.0]).collect()
+        };
+        let [dense, beams] =
+            [grid(30, 30, 0.1), grid(30, 4, 1.0)].map(|points| FineCloud::new(&points, 0.4, 1).unwrap());
+        let lies_on =
+            |cloud: &FineCloud, point: [f64; 3]| cloud.lies_on(&Place { point: point.into(), normal: None }, 1.5);
+        assert_eq!(lies_on(&dense, [1.5, 1.5, 0.3]), Some(true));
+        assert_eq!(lies_on(&dense, [1.5, 1.5, 0.5]), Some(false));
+        assert_eq!(lies_on(&beams, [1.5, 1.5, 0.0]), None);
+        assert_eq!(lies_on(&beams, [1.5, 1.1, 0.0]), Some(true));
+        // Nothing is near.
+        assert_eq!(lies_on(&dense, [1.5, 1.5, 0.9]), None);
     }
 }

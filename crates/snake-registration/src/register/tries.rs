@@ -293,3 +293,39 @@ fn note_rounding(registration: &mut Registration, pair_options: &PairOptions) {
         registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{IsometryMatrix3, Translation3, Vector3};
+
+    use super::*;
+    use crate::steps::prepare;
+
+    #[test]
+    fn a_finer_look_confirms_what_it_finds_too() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
+        let cloud = snake_io::read_points(path.as_ref()).unwrap();
+        let (options, pair_options, control) = Default::default();
+        let prepared = prepare(&[&cloud, &cloud], &[None, None], None, &options, &control).unwrap();
+        let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
+        let search = Search::new(&pair, &options, &pair_options, Effort::Usual, &control);
+        let single = search.register().unwrap();
+        let distance = single.fit.inlier_distance;
+        let off = |by: f64| {
+            let shift = Translation3::from(Vector3::new(by * distance, 0.0, 0.0));
+            let transform: IsometryMatrix3<f64> = shift * single.t_target_source.isometry();
+            Registration { t_target_source: transform.into(), ..single.clone() }
+        };
+        let confirms = |found: &Registration, best: &Registration| {
+            let mut tried = Tried { best: Some(best.clone()), single: Some(single.clone()), ..Default::default() };
+            search.confirmed(found, &mut tried).is_some()
+        };
+        assert!(confirms(&off(0.3), &single));
+        assert!(!confirms(&off(0.7), &single));
+        // Another try gave the best so far.
+        assert!(!confirms(&off(0.3), &off(0.1)));
+        let mut repeats = off(0.3);
+        repeats.verdict.repeat_fit = 1.0;
+        assert!(!confirms(&repeats, &single));
+    }
+}
