@@ -54,7 +54,7 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let transposed = all.transpose();
     // The row b nearest to a has the greatest a·b - |b|²/2.
     let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
-    let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.self_matches).max(1)).collect();
+    let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.few_places).max(1)).collect();
     let nearest = |from: usize, products: DVectorView<f32>| {
         let mut best = (f32::NEG_INFINITY, None);
         for (to, (product, half_norm)) in products.iter().zip(&half_norms).enumerate() {

@@ -81,56 +81,42 @@ impl Evidence<'_> {
     }
 
     /// What the logistic regression weighs.
-    fn terms(&self) -> [Term; 6] {
+    fn terms(&self) -> impl Iterator<Item = Term> {
         let log = |count: usize| (1.0 + count as f64).ln();
         let Matches { num_agreeing, num_rival_agreeing, .. } = *self.matches;
         let (agreeing, rival) = (log(num_agreeing), log(num_rival_agreeing));
-        let term = |weight: f64, value: f64, [least, most]: [f64; 2], words: String| Term {
-            value: weight * value.clamp(least, most),
-            most: (weight * most).max(weight * least),
+        let term = |[weight, limit]: [f64; 2], value: f64, words: String| Term {
+            value: weight * value.clamp(-limit, limit),
+            most: (weight * limit).max(0.0),
             words,
         };
-        let about_zero = |limit: f64| [-limit, limit];
-        let (lead, max_lead) = self.lead.map_or((0.0, 0.0), |lead| (lead, TUNING.max_lead));
         let (violation, spread) = (self.violation, self.match_spread());
-        [
+        let lead =
+            self.lead.map(|lead| term(TUNING.lead, lead, format!("the next transform is worse by only {lead:.3}")));
+        let terms = [
+            term(TUNING.log_agreeing, agreeing, format!("only {num_agreeing} matches agree")),
             term(
-                TUNING.log_agreeing_weight,
-                agreeing,
-                [0.0, TUNING.max_agreeing.ln()],
-                format!("only {num_agreeing} matches agree"),
-            ),
-            term(
-                TUNING.log_ratio_weight,
+                TUNING.log_ratio,
                 agreeing - rival,
-                about_zero(TUNING.max_log_ratio),
                 format!("{num_rival_agreeing} matches agree with another transform"),
             ),
             term(
-                TUNING.slide_margin_weight,
+                TUNING.slide_margin,
                 self.slide_margin,
-                about_zero(TUNING.max_slide_margin),
                 format!("the overlap falls by only {:.3} along the direction that is fixed least", self.slide_margin),
             ),
             term(
-                TUNING.match_spread_weight,
+                TUNING.match_spread,
                 spread,
-                [0.0, TUNING.max_match_spread],
                 format!("the matches that agree spread by only {spread:.2} inlier distances"),
             ),
             term(
-                TUNING.violation_weight,
+                TUNING.violation,
                 violation,
-                [0.0, 1.0],
                 format!("{:.1} % of the voxels lie where the other sensor saw through", 100.0 * violation),
             ),
-            term(
-                TUNING.lead_weight,
-                lead,
-                about_zero(max_lead),
-                format!("the next transform is worse by only {lead:.3}"),
-            ),
-        ]
+        ];
+        terms.into_iter().chain(lead)
     }
 
     /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open,
@@ -140,7 +126,7 @@ impl Evidence<'_> {
         if self.num_open > 0 {
             return 0.0;
         }
-        let sum = self.terms().iter().fold(TUNING.bias, |sum, term| sum + term.value);
+        let sum = self.terms().fold(TUNING.bias, |sum, term| sum + term.value);
         let unrivalled = (self.weakest_constraint / TUNING.doubtful_constraint).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival || self.is_repeated() {
             (unrivalled / 2.0).min(TUNING.max_doubtful)
@@ -182,7 +168,7 @@ impl Evidence<'_> {
             notes.push("the surfaces lie apart: the points are finer than the distance between them".into());
         }
         if notes.is_empty() && self.confidence() < TUNING.reliable {
-            let worst = self.terms().into_iter().max_by(|a, b| a.missing().total_cmp(&b.missing()));
+            let worst = self.terms().max_by(|a, b| a.missing().total_cmp(&b.missing()));
             notes.extend(worst.map(|term| format!("not reliable, above all because {}", term.words)));
         }
         notes

@@ -16,7 +16,7 @@ mod turns;
 
 use nalgebra::{IsometryMatrix3, Matrix6};
 
-use crate::cloud::patches::overlap;
+use crate::cloud::patches::{self, overlap};
 use crate::cloud::planes::{information, plane_pairs};
 use crate::cloud::surface::{Surface, fitness};
 use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict};
@@ -130,7 +130,7 @@ fn verdict(
     let transform = best.t_target_source.isometry();
     let surfaces = pair.surfaces();
     let fine = pair.fine()?;
-    let overlap = overlap(fine, transform, TUNING.patch_distance * fit.inlier_distance);
+    let overlap = overlap(fine, transform, patches::TUNING.near * fit.inlier_distance);
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
@@ -140,7 +140,7 @@ fn verdict(
         Some(lead) => lead < TUNING.min_lead * best.score(),
         None => {
             let winner = (&best.agreement, counts.num_agreeing);
-            let mut rivals = candidates[1..].iter().take(TUNING.rivals);
+            let mut rivals = candidates[1..].iter().take(TUNING.tries);
             rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
         }
     };
@@ -210,7 +210,7 @@ impl Matches {
         let agreeing: Vec<&Match> =
             matches.iter().filter(|matched| matched.agrees(&best.t_target_source, pair.criteria())).collect();
         let targets: Vec<_> = agreeing.iter().map(|matched| matched.target).collect();
-        let rivals = candidates[1..].iter().take(TUNING.rivals);
+        let rivals = candidates[1..].iter().take(TUNING.tries);
         let counts = rivals.map(|rival| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0);
         let ends = |matched: &&Match| [matched.source, matched.target].map(|end| end.map(|v| v as f32).into());
         Self {
@@ -271,7 +271,7 @@ fn no_transform(pair: &Pair, num_matches: usize) -> Result<Error> {
 
 /// A note on the first of the clouds that can move along its own surface.
 fn open_alone(pair: &Pair) -> Result<Option<String>> {
-    let distance = TUNING.patch_distance * pair.criteria().inlier_distance;
+    let distance = patches::TUNING.near * pair.criteria().inlier_distance;
     for (fine, name) in pair.fine()?.into_iter().zip(["source", "target"]) {
         let overlap = overlap([fine, fine], &IsometryMatrix3::identity(), distance);
         let open = Constraint::from_patches(&overlap.patches).open;

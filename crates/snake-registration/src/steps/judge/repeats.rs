@@ -26,9 +26,9 @@ fn repeated_across(axis: &Vector, patches: &[PlanePair], fine: &FineCloud, targe
     let distance = target.grid.distance();
     let facing = Facing::new(axis, patches, distance);
     let u = axis.cross(&Vector::ith(axis.iamin(), 1.0)).normalize();
-    let (v, side) = (axis.cross(&u), (TUNING.max_repeat / TUNING.repeat_step) as i32);
+    let (v, side) = (axis.cross(&u), (TUNING.max_repeat / patches::TUNING.near) as i32);
     let starts = (-side..=side).into_par_iter().flat_map_iter(|i| (-side..=side).map(move |j| [i, j]));
-    let starts = starts.map(|[i, j]| TUNING.repeat_step * distance * (f64::from(i) * u + f64::from(j) * v));
+    let starts = starts.map(|[i, j]| patches::TUNING.near * distance * (f64::from(i) * u + f64::from(j) * v));
     let starts = starts.filter(|start| start.norm() < TUNING.max_repeat * distance);
     let mut slides: Vec<Vector> = starts.filter_map(|start| facing.settled(start, distance)).collect();
     let mut cells = HashSet::new();
@@ -61,7 +61,7 @@ impl<'a> Facing<'a> {
         let mut cells = HashSet::new();
         // Near the sensor there are more.
         let is_new = |patch: &&PlanePair| {
-            cells.insert((cell(&patch.point, TUNING.repeat_thinning * distance), patch.normal.iamax()))
+            cells.insert((cell(&patch.point, patches::TUNING.near * distance), patch.normal.iamax()))
         };
         let patches: Vec<&PlanePair> = patches.iter().filter(faces).filter(is_new).collect();
         let points: Vec<Vector> = patches.iter().map(|patch| patch.point).collect();
@@ -145,8 +145,12 @@ fn share(telling: &[&PlanePair], slide: &Vector, fine: &FineCloud, target: &Surf
             Some(viewpoint) => normal.dot(&(viewpoint - point)) * normal.dot(&(viewpoint - other)) > 0.0,
             None => true,
         };
-        let on =
-            fine.patch_at(&(point + slide), normal, TUNING.repeat_near * distance, TUNING.repeat_tolerance * distance);
+        let on = fine.patch_at(
+            &(point + slide),
+            normal,
+            patches::TUNING.near * distance,
+            TUNING.repeat_tolerance * distance,
+        );
         on.is_some_and(|other| is_same_side(&other))
     };
     let (mut agree, mut contradict) = (0_usize, 0_usize);

@@ -143,7 +143,7 @@ fn repeat_note(what: &str, by: &Vector) -> String {
 pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
-    let patches = overlap(fine, winner, TUNING.patch_distance * distance).patches;
+    let patches = overlap(fine, winner, patches::TUNING.near * distance).patches;
     let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
     let frame = [first, second, third];
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
@@ -256,7 +256,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         scene.sample = std::array::from_fn(|from| {
             let transform = if from == 0 { winner } else { winner.inverse() };
             let with_vote = |place: Place| (place, scene.explains(&place.moved(&transform), 1 - from));
-            fine[from].thinned(distance, TUNING.rival_places).into_iter().map(with_vote).collect()
+            fine[from].thinned(distance, TUNING.places).into_iter().map(with_vote).collect()
         });
         scene
     }
@@ -282,7 +282,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         if !self.fitting.is_standing && f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
             return Ok(None);
         }
-        let unit = 1.5 * TUNING.relief_side * distance / shift.norm() / f64::from(TUNING.shift_steps);
+        let unit = 1.5 * TUNING.detail * distance / shift.norm() / f64::from(TUNING.shift_steps);
         let parts = (-TUNING.shift_steps..=TUNING.shift_steps).map(|at| 1.0 + unit * f64::from(at));
         let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
         let best = tries.iter().map(|(fit, _)| *fit).max().unwrap_or_default();

@@ -1,7 +1,7 @@
 //! Shifts of the source under which details of the target repeat, such as the windows of a wall.
 
 use super::tuning::TUNING;
-use crate::cloud::patches::{FineCloud, Place};
+use crate::cloud::patches::{self, FineCloud, Place};
 use snake_geometry::Vector;
 
 /// The greatest number of bits of a relief.
@@ -32,7 +32,7 @@ impl Relief {
     /// `points` are in the frame of the axes; `None` for a cloud of too many cells.
     fn new(points: &[Vector], across: usize, distance: f64) -> Option<Self> {
         let axes = [across, (across + 1) % 3, (across + 2) % 3];
-        let sides = [TUNING.relief_depth * distance, TUNING.relief_side * distance, TUNING.relief_side * distance];
+        let sides = [patches::TUNING.max_offset, TUNING.detail, TUNING.detail].map(|side| side * distance);
         let low = points.iter().copied().reduce(|a, b| a.inf(&b))?;
         let extent = points.iter().copied().reduce(|a, b| a.sup(&b))? - low;
         let low = std::array::from_fn(|i| low[axes[i]] - sides[i]);
@@ -115,7 +115,7 @@ pub(super) fn shifts(
 /// The lengths of such shifts along one axis, each with whether the details fit better there than
 /// at rest.
 fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<(f64, bool)> {
-    let step = TUNING.relief_side * distance;
+    let step = TUNING.detail * distance;
     let (low, high) = places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (place, _)| {
         (low.min(place[axis]), high.max(place[axis]))
     });
@@ -162,7 +162,7 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
     shares.sort_by(f64::total_cmp);
     let elsewhere = shares[shares.len() / 2];
     let min_share = |shift: i64| {
-        let is_short = shift.abs() as f64 * TUNING.relief_side <= TUNING.short_shift;
+        let is_short = shift.abs() as f64 * TUNING.detail <= TUNING.elsewhere;
         let least = elsewhere + TUNING.shift_fit * (at_rest - elsewhere);
         if is_short { least.max(TUNING.min_short_fit) } else { least }
     };
@@ -178,7 +178,7 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
     let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
     // Those at which most details are in view and fit.
     peaks.sort_by(|a, b| fit(*b).total_cmp(&fit(*a)).then(a.cmp(b)));
-    peaks.truncate(TUNING.shift_tries);
+    peaks.truncate(TUNING.tries);
     let at_rest = share(0).max(at_rest);
     peaks.into_iter().map(|shift| (shift, share(shift) > at_rest)).collect()
 }

@@ -37,7 +37,7 @@ fn contradicted(
     image: &DepthImage,
     distance: f64,
 ) -> f64 {
-    let places = cloud.sample(TUNING.rival_places).into_iter().map(|place| place.moved(transform));
+    let places = cloud.sample(TUNING.places).into_iter().map(|place| place.moved(transform));
     let in_view: Vec<bool> = places
         .filter(|place| image.sight(&place.point) != Sight::Unknown)
         .map(|place| other.lies_on(&place, distance) != Some(true))

@@ -44,7 +44,7 @@ pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> R
     let source = apart(pair, 0, transform)?;
     let target = apart(pair, 1, &transform.inverse())?;
     let source: Vec<Vector> = source.iter().map(|point| moved(transform, point)).collect();
-    let grid = NearGrid::new(&target, 2.0 * TUNING.apart_spacing * distance);
+    let grid = NearGrid::new(&target, 2.0 * TUNING.detail * distance);
     let min_spread = TUNING.min_together_spread * spread(&pair.clouds()[1].voxels.voxels.points);
     let together = |slide: Vector| {
         let hits: Vec<Vector> =
@@ -63,7 +63,7 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
     let Some((viewpoint, _)) = pair.clouds()[1 - from].viewpoint else { return Ok(Vec::new()) };
     let other = fine[1 - from];
     let image = DepthImage::new(other.points(), viewpoint, distance, FINE);
-    let places = fine[from].thinned(TUNING.apart_spacing * distance, usize::MAX).into_iter().filter(|place| {
+    let places = fine[from].thinned(TUNING.detail * distance, usize::MAX).into_iter().filter(|place| {
         let place = place.moved(transform);
         match other.lies_on(&place, distance) {
             Some(is_on) => !is_on,
@@ -71,7 +71,7 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
         }
     });
     let all: Vec<Vector> = places.map(|place| place.point).collect();
-    Ok(all.iter().step_by(all.len().div_ceil(TUNING.apart_places).max(1)).copied().collect())
+    Ok(all.iter().step_by(all.len().div_ceil(TUNING.few_places).max(1)).copied().collect())
 }
 
 /// The slides from places of one cloud to those of another on which most pairs agree, each the mean of a
@@ -82,7 +82,7 @@ fn frequent_slides(source: &[Vector], target: &[Vector], distance: f64) -> Vec<V
         for to in target {
             let slide = to - from;
             if slide.norm() > TUNING.min_shift * distance {
-                let cell = slide.map(|v| (v / (2.0 * TUNING.apart_spacing * distance)).round() as i64);
+                let cell = slide.map(|v| (v / (2.0 * TUNING.detail * distance)).round() as i64);
                 let (count, sum) = cells.entry(cell.into()).or_insert((0, Vector::zeros()));
                 *count += 1;
                 *sum += slide;

@@ -5,10 +5,23 @@ use crate::tuning::tuning;
 tuning! {
     /// A transform is reliable from this confidence on.
     reliable: f64 = 0.5, unit "probability", from "by the definition of the bias, a probability of about 0.95";
-    /// A cloud looks like itself only at places that are this far apart.
+    /// A cloud looks like itself only at places that are this far apart; a shift up to this length is short.
     elsewhere: f64 = 4.0, unit "inlier distances", from "so that no match is of a place with itself";
-    /// Number of places that are matched with other places of their cloud.
-    self_matches: usize = 600, unit "places", from "set for time";
+    /// Number of places of each cloud on which two transforms are compared, at most.
+    places: usize = 1000, unit "places", from "set for time";
+    /// Number of places whose details are compared.
+    shift_places: usize = 1200, unit "places", from "set for time";
+    /// Number of places where pairs of them are compared: that are matched with others of their cloud, and that contradict
+    /// sensors at one place.
+    few_places: usize = 600, unit "places", from "set for time";
+    /// Number of other candidates that may be rivals of the best, of moves that are compared for a turn, and of shifts along one
+    /// axis, at most.
+    tries: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
+    /// Number of ICP steps after a motion.
+    rival_steps: usize = 8, unit "steps", from "set for time";
+    /// Width of the cells in which details repeat, the step from one shift to the next, and the distance to which places that
+    /// contradict sensors at one place are thinned.
+    detail: f64 = 0.25, unit "inlier distances", from "set by hand";
     /// Number of motions under which a cloud looks like itself, at most.
     self_motions: usize = 10, unit "motions", from "set for time";
     /// A cloud looks like itself after a motion on which this share of these matches agrees.
@@ -23,14 +36,10 @@ tuning! {
     self_contradicted: [f64; 3] = [0.08, 0.28, 0.43], unit "shares of the places that the winner explains and that tell",
         from "stairs, ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more; at one place traffic up to 0.25, rooms at rest 0.33 and more; pillars up to 0.38 of all places (tests/bench/alike_pairs.py, seeds 80 to 89, and 97 validation pairs)";
 
-    /// Number of other transforms that may be rivals of the best, at most.
-    rivals: usize = 2, unit "transforms", from "as many as `refine` refines beside the best (3738705)";
     /// Another transform is a rival if its fit of the surfaces is above this share of the best fit.
     rival_fit: f64 = 0.9, unit "share of the best fit", from "set by hand in c29aabe";
     /// A rival has this share of the matches that agree with the best, each count raised by one.
     rival_agreeing: f64 = 0.4, unit "share of the matches", from "set by hand in c29aabe";
-    /// Patches of both clouds that are closer are one.
-    patch_distance: f64 = 0.5, unit "inlier distances", from "set by hand in b0e7886";
 
     /// A patch constrains a motion whose cosine to its normal is above this: about 75 degrees.
     /// Normals of planar patches are better than that, those of slopes that a voxel does not show
@@ -51,16 +60,12 @@ tuning! {
     repeat_cosine: f64 = 0.5, unit "cosine", from "set by hand in b0e7886";
     /// Number of patches that are compared for a shift, at most.
     repeat_patches: usize = 40, unit "patches", from "set by hand in 789af6c";
+    /// Number of normals among which the most frequent directions are searched, at most.
+    repeat_normals: usize = 50, unit "normals", from "set by hand in 9784128";
     /// Number of patches that a shift needs.
     min_repeat_patches: usize = 7, unit "patches", from "set by hand in 8e0d76d";
-    /// Distance between the shifts from which the search starts.
-    repeat_step: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
-    /// Patches of one face are thinned to this distance.
-    repeat_thinning: f64 = 0.5, unit "inlier distances", from "set for time in 8e0d76d";
     /// Shifts that settle closer to each other are one.
     repeat_settled: f64 = 0.1, unit "inlier distances", from "set for time in 8e0d76d";
-    /// A shifted patch agrees with a patch whose point is closer than this.
-    repeat_near: f64 = 0.5, unit "inlier distances", from "set by hand in 9784128";
     /// A shifted patch agrees with a patch whose plane is closer than this.
     repeat_tolerance: f64 = 0.12, unit "inlier distances", from "set by hand in b0e7886";
     /// A shift is dropped early if too few of every so many patches are near other patches.
@@ -81,8 +86,6 @@ tuning! {
     repeat_valley: f64 = 0.6, unit "share of the agreement", from "set by hand in b0e7886";
     /// Two normals are parallel if their cosine is above this.
     repeat_parallel: f64 = 0.98, unit "cosine", from "set by hand in 9784128";
-    /// Number of normals among which the most frequent directions are searched, at most.
-    repeat_normals: usize = 50, unit "normals", from "set by hand in 9784128";
     /// A normal lies across another if this much of it is left without the other's direction.
     min_across: f64 = 0.5, unit "length", from "set by hand in 9784128";
     /// The target repeats itself if more than this share of the patches agrees after a shift.
@@ -92,19 +95,11 @@ tuning! {
     /// place with more would fit better.
     repeated_fitness: f64 = 0.8, unit "share of the voxels", from "set by hand in 40795b4";
 
-    /// A voxel faces along an axis if its cosine is above this.
-    turn_cosine: f64 = 0.9, unit "cosine", from "set by hand";
     /// Number of offsets along each axis at which planes of a rotated source are laid on planes.
     turn_offsets: usize = 3, unit "offsets", from "set by hand";
     /// A rotated source must overlap the target by this, and have as much of the voxels on planes that meet.
     turn_share: f64 = 0.7, unit "share of the winner's",
         from "with 0.45 three instead of five of ten lobbies are wrong and reliable, but a right desk and a right room are not reliable";
-    /// Number of moves that are compared for a turn, at most.
-    turn_tries: usize = 2, unit "transforms", from "set for time";
-    /// Thickness of the cells in which details repeat.
-    relief_depth: f64 = 0.15, unit "inlier distances", from "set by hand";
-    /// Width of the cells in which details repeat, and the step from one shift to the next.
-    relief_side: f64 = 0.25, unit "inlier distances", from "set by hand";
     /// A place faces along an axis if its cosine is above this.
     shift_cosine: f64 = 0.8, unit "cosine", from "set by hand";
     /// Length of the longest shift.
@@ -120,18 +115,10 @@ tuning! {
         from "0.41 to 0.8 on a made wall, 0.2 to 0.35 in most real rooms";
     /// On the way to a shift the details fit worse than this.
     shift_valley: f64 = 0.9, unit "share of that after the shift", from "set by hand";
-    /// Number of shifts along one axis, at most.
-    shift_tries: usize = 2, unit "shifts", from "set for time";
-    /// Number of places whose details are compared.
-    shift_places: usize = 1200, unit "places", from "set for time";
     /// Every so many of them tell where exactly a shift fits.
     shift_thinning: usize = 6, unit "places", from "set for time";
     /// Number of steps to either side in which a shift is made exact.
     shift_steps: i32 = 6, unit "steps", from "set by hand";
-    /// Number of places of each cloud on which two transforms are compared.
-    rival_places: usize = 1000, unit "places", from "set for time";
-    /// Number of ICP steps after such a motion.
-    rival_steps: usize = 8, unit "steps", from "set for time";
     /// A rival's surfaces fit by this: usually, and after a slide with sensors at one place.
     rival_fit_shares: [f64; 2] = [0.75, 0.43], unit "shares of the winner's fit",
         from "stairs have 0.9, ramps 0.89, an aeroplane of 4096 points after a half turn 0.69 to 0.77; traffic that keeps pace 0.44 to 0.54 (tests/bench/alike_pairs.py, seeds 80 to 89)";
@@ -140,8 +127,6 @@ tuning! {
     min_shift_score: f64 = 0.3, unit "share of the places", from "set for time";
     /// A rival that contradicts more, and explains less, is not refined.
     hopeless: f64 = 0.5, unit "share of the places that the winner explains", from "set for time";
-    /// A shift up to this length is short.
-    short_shift: f64 = 4.0, unit "inlier distances", from "set by hand";
     /// A cloud was seen from one place if this much of it is visible from there.
     min_one_view: f64 = 0.98, unit "share of the fine voxels",
         from "made scans have 0.99 and more, fused fragments of rooms about 0.9";
@@ -152,10 +137,6 @@ tuning! {
     /// doubtful.
     max_standing: f64 = 0.2, unit "share of the places in view",
         from "0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and after half of it moved";
-    /// Places that contradict sensors at one place are thinned to this distance.
-    apart_spacing: f64 = 0.25, unit "inlier distances", from "set by hand";
-    /// Number of such places of each cloud, at most.
-    apart_places: usize = 600, unit "places", from "set for time";
     /// They hang together if one slide brings this share of them onto each other.
     together: f64 = 0.2, unit "share of the places",
         from "posts beside a motorway have 0.2 to 0.6, beside vehicles that drift (tests/bench/alike_pairs.py, seeds 0 to 7)";
@@ -185,39 +166,31 @@ tuning! {
     /// Bias of the logistic regression.
     bias: f64 = -8.5, unit "log-odds",
         from "3.2 below that of the fit by tests/bench/fit_verdict.py (00e891e), so that 0.5 is a probability of about 0.95";
-    /// Weight of the logarithm of one more than the matches that agree.
-    log_agreeing_weight: f64 = 1.88, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
-    /// Weight of the logarithm of their ratio to those of the best rival.
-    log_ratio_weight: f64 = 0.43, unit "log-odds", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
-    /// Weight of the slide margin.
-    slide_margin_weight: f64 = 22.5, unit "log-odds per overlap", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
-    /// Weight of the spread of the matches that agree.
-    match_spread_weight: f64 = 3.0, unit "log-odds per inlier distance",
+    /// Weight of the logarithm of one more than the matches that agree, and the limit up to which it counts, so that no evidence
+    /// outvotes the others. So it is with the rows that follow.
+    log_agreeing: [f64; 2] = [1.88, 5.3], unit "log-odds; logarithm", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Of the logarithm of their ratio to those of the best rival.
+    log_ratio: [f64; 2] = [0.43, 1.5], unit "log-odds; logarithm", from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Of the slide margin.
+    slide_margin: [f64; 2] = [22.5, 0.1], unit "log-odds per overlap; overlap",
         from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
-    /// Weight of the violated free space.
-    violation_weight: f64 = -302.0, unit "log-odds per share of the voxels",
+    /// Of the spread of the matches that agree.
+    match_spread: [f64; 2] = [3.0, 1.0], unit "log-odds per inlier distance; inlier distances",
         from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
-    /// Weight of the lead over the next transform, where single matches were compared.
-    lead_weight: f64 = 10.0, unit "log-odds per overlap",
+    /// Of the violated free space.
+    violation: [f64; 2] = [-302.0, 1.0], unit "log-odds per share of the voxels; share",
+        from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
+    /// Of the lead over the next transform, where single matches were compared.
+    lead: [f64; 2] = [10.0, 0.25], unit "log-odds per overlap; overlap",
         from "set by hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
-    /// The lead counts up to this.
-    max_lead: f64 = 0.25, unit "overlap", from "set by hand on the same pairs";
     /// With a smaller lead the next transform is a rival, where single matches were compared.
     min_lead: f64 = 0.3, unit "share of the score", from "set by hand on the same pairs";
-    /// Matches that agree count up to this number.
-    max_agreeing: f64 = 200.0, unit "matches", from "set by hand in 789af6c, so that no evidence outvotes the others";
-    /// The logarithm of the ratio to the best rival counts up to this.
-    max_log_ratio: f64 = 1.5, unit "logarithm", from "set by hand in b0e7886";
-    /// The slide margin counts up to this.
-    max_slide_margin: f64 = 0.1, unit "overlap", from "set by hand in b0e7886";
-    /// The spread of the matches counts up to this.
-    max_match_spread: f64 = 1.0, unit "inlier distances", from "set by hand in b0e7886";
     /// Number of the source's voxels that tell its scale, at most.
     scale_points: usize = 1500, unit "voxels", from "set for time";
-    /// A factor that differs from 1 by less after one step is not pursued.
-    scale_gate: f64 = 0.003, unit "ratio", from "set for time";
     /// Number of steps to the factor, at most.
     scale_steps: usize = 12, unit "steps", from "set by hand";
+    /// A factor that differs from 1 by less after one step is not pursued.
+    scale_gate: f64 = 0.003, unit "ratio", from "set for time";
     /// Fewer pairs of voxels do not tell the scale.
     min_scale_pairs: usize = 100, unit "pairs", from "set by hand";
     /// Planes tell the scale if this much of their squared distance under a change of scale is left

@@ -6,6 +6,7 @@ use std::f64::consts::PI;
 use nalgebra::{IsometryMatrix3, Matrix3, Rotation3, Translation3};
 
 use super::tuning::TUNING;
+use crate::cloud::patches;
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::moved;
 use snake_geometry::Vector;
@@ -21,6 +22,9 @@ pub(super) fn reflections(axes: &[Vector; 3]) -> Vec<Rotation3<f64>> {
     let across = axes.iter().map(|axis| Matrix3::identity() - 2.0 * axis * axis.transpose());
     across.chain([-Matrix3::identity()]).map(Rotation3::from_matrix_unchecked).collect()
 }
+
+/// Number of bins, two inlier distances wide together, over which a plane spreads.
+const BINS: usize = 4;
 
 /// How many voxels of a cloud lie on planes at each offset along three axes.
 struct Offsets {
@@ -42,7 +46,7 @@ impl Offsets {
             let mut counts = [vec![0.0; length], vec![0.0; length]];
             for (point, normal) in places {
                 let cosine = normal.dot(axis);
-                if cosine.abs() > TUNING.turn_cosine {
+                if cosine.abs() > patches::TUNING.agreeing_cosine {
                     counts[usize::from(is_signed && cosine < 0.0)][(bin(point, axis) - first[at]) as usize] += 1.0;
                 }
             }
@@ -51,34 +55,38 @@ impl Offsets {
         Self { counts, first }
     }
 
-    /// The best shifts along an axis, in bins, each with the number of voxels whose planes meet.
-    fn shifts(&self, target: &Self, axis: usize) -> Vec<(i64, f64)> {
+    /// The best shifts along an axis, in bins, each with the number of voxels whose planes meet; no shift if none meet.
+    fn shifts(&self, target: &Self, axis: usize) -> Vec<(f64, f64)> {
         let [own, other] = [&self.counts[axis], &target.counts[axis]];
         let mut sums = vec![0.0; own[0].len() + other[0].len() + 1];
         for (own, other) in own.iter().zip(other) {
             for (from, count) in own.iter().enumerate().filter(|(_, count)| **count > 0.0) {
                 for (to, limit) in other.iter().enumerate() {
-                    // A plane lies across the border of two bins, so that sums of three are compared.
                     sums[to + own.len() - from] += f64::min(*count, *limit);
                 }
             }
         }
-        let zero = own[0].len() as i64 + self.first[axis] - target.first[axis];
-        let ranked = |(at, sums): (usize, &[f64])| (at as i64 + 1 - zero, sums.iter().sum(), sums[1]);
-        let mut shifts: Vec<(i64, f64, f64)> = sums.windows(3).enumerate().map(ranked).collect();
-        shifts.sort_by(|a, b| b.1.total_cmp(&a.1).then(b.2.total_cmp(&a.2)).then(a.0.cmp(&b.0)));
-        let mut best: Vec<(i64, f64)> = Vec::new();
-        for (shift, sum, _) in shifts {
-            if best.len() < TUNING.turn_offsets && best.iter().all(|(other, _)| (other - shift).abs() > 2) {
+        let zero = (own[0].len() as i64 + self.first[axis] - target.first[axis]) as f64;
+        // A plane lies across the borders of bins: some of them count together, and their mean is the shift.
+        let mean = |(first, sums): (usize, &[f64])| {
+            let sum: f64 = sums.iter().sum();
+            let moment: f64 = sums.iter().enumerate().map(|(at, count)| (first + at) as f64 * count).sum();
+            (moment / sum - zero, sum)
+        };
+        let mut shifts: Vec<_> = sums.windows(BINS).enumerate().map(mean).filter(|(_, sum)| *sum > 0.0).collect();
+        shifts.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.total_cmp(&b.0)));
+        let mut best: Vec<(f64, f64)> = Vec::new();
+        for (shift, sum) in shifts {
+            if best.len() < TUNING.turn_offsets && best.iter().all(|(other, _)| (other - shift).abs() >= BINS as f64) {
                 best.push((shift, sum));
             }
         }
-        best
+        if best.is_empty() { vec![(0.0, 0.0)] } else { best }
     }
 
     /// The number of voxels whose planes meet as they are.
     fn meeting(&self, target: &Self) -> f64 {
-        let near = |axis| self.shifts(target, axis).into_iter().filter(|(shift, _)| shift.abs() <= 2);
+        let near = |axis| self.shifts(target, axis).into_iter().filter(|(shift, _)| shift.abs() < BINS as f64);
         (0..3).flat_map(|axis| near(axis).next()).map(|(_, sum)| sum).sum()
     }
 }
@@ -92,7 +100,7 @@ pub(super) fn after_turns<T: Copy>(
     frame: &[Vector; 3],
 ) -> Vec<(T, IsometryMatrix3<f64>)> {
     let [source, target] = surfaces;
-    let (side, is_signed) = (source.grid.distance(), source.is_signed());
+    let (side, is_signed) = (2.0 / BINS as f64 * source.grid.distance(), source.is_signed());
     let some = |surface: &Surface| (0..surface.points.len()).step_by(2 * coarse_step(surface.points.len()));
     let offsets = |places: &[(Vector, Vector)]| Offsets::new(places, frame, is_signed, side);
     let indices: Vec<usize> = some(source).collect();
@@ -109,13 +117,13 @@ pub(super) fn after_turns<T: Copy>(
         for (at, axis) in frame.iter().enumerate() {
             let shifts = own.shifts(&on_target, at);
             let with = |(to, sum): &(Vector, f64)| -> Vec<(Vector, f64)> {
-                shifts.iter().map(|(shift, more)| (to + side * *shift as f64 * axis, sum + more)).collect()
+                shifts.iter().map(|(shift, more)| (to + side * *shift * axis, sum + more)).collect()
             };
             moves = moves.iter().flat_map(with).collect();
         }
         moves.retain(|(_, sum)| *sum >= min_meeting);
         moves.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let tries = moves.into_iter().take(TUNING.turn_tries).map(|(to, _)| {
+        let tries = moves.into_iter().take(TUNING.tries).map(|(to, _)| {
             let translation = Translation3::from(turn * winner.translation.vector + to);
             let transform = IsometryMatrix3::from_parts(translation, turn * winner.rotation);
             (overlap(&transform), transform)
@@ -137,9 +145,14 @@ mod tests {
         let own: Vec<_> = wall(0.05, Vector::x()).chain(wall(2.05, -Vector::x())).collect();
         let other: Vec<_> = wall(1.05, Vector::x()).chain(wall(3.05, -Vector::x())).collect();
         let offsets = |places: &[_]| Offsets::new(places, &frame, true, 0.1);
-        assert_eq!(offsets(&own).shifts(&offsets(&other), 0)[0], (10, 100.0));
+        assert_eq!(offsets(&own).shifts(&offsets(&other), 0)[0], (10.0, 100.0));
         assert_eq!(offsets(&own).meeting(&offsets(&own)), 100.0);
         assert_eq!(offsets(&own).meeting(&offsets(&other)), 0.0);
+        assert_eq!(offsets(&own).shifts(&offsets(&other), 1), [(0.0, 0.0)]);
+        // A plane that lies across two bins is not moved by a whole one.
+        let across: Vec<_> = wall(1.08, Vector::x()).chain(wall(1.12, Vector::x())).collect();
+        let (shift, sum) = offsets(&wall(0.05, Vector::x()).collect::<Vec<_>>()).shifts(&offsets(&across), 0)[0];
+        assert!((shift - 10.5).abs() < 1e-9 && sum == 100.0, "{shift} {sum}");
     }
 
     #[test]
