@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=71)
     parser.add_argument("--only", default="", help="files with this in their path")
-    parser.add_argument("--source", default="", help="rows whose values come from this, such as \"set by hand\"")
+    parser.add_argument("--source", default="", help='rows whose values come from this, such as "set by hand"')
     parser.add_argument("--slowest", type=float, default=0.8, help="seconds [default: 0.8]")
     arguments = parser.parse_args()
     os.environ |= {"RAYON_NUM_THREADS": "1"}
