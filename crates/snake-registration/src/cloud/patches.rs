@@ -22,11 +22,11 @@ tuning! {
     max_voxels: f64 = 60_000.0, unit "fine voxels", from "set by hand in b0e7886";
     /// A cloud is finer than its voxels if it has this many fine voxels for each; below, a
     /// refinement on them is not worth its time.
-    min_ratio: usize = 4, unit "fine voxels per voxel", from "set by hand in b0e7886";
+    min_ratio: usize = 4, unit "fine voxels per voxel", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of nearest fine voxels whose covariance gives a normal.
-    neighbors: NonZeroUsize = NonZeroUsize::new(16).unwrap(), unit "fine voxels", from "set by hand in b0e7886";
+    neighbors: NonZeroUsize = NonZeroUsize::new(16).unwrap(), unit "fine voxels", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Largest ratio of the variance across a planar patch to the smaller variance along it.
-    max_thickness: f64 = 0.15, unit "ratio of variances", from "set by hand in b0e7886";
+    max_thickness: f64 = 0.15, unit "ratio of variances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled
     /// disc has 0.25. Points where a beam crosses an edge have less: they lie on a plane that is no
     /// part of the surface.
@@ -41,15 +41,15 @@ tuning! {
     min_planar: f64 = 0.5, unit "share of the overlap",
         from "corridors, tunnels and balls have 0.7 and more, wires and rough things less (190fc07)";
     /// Two patches coincide if their distance is below this many of their joint thicknesses.
-    coinciding: f64 = 2.0, unit "standard deviations", from "set by hand in e823698";
+    coinciding: f64 = 2.0, unit "standard deviations", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// A surface farther from a place does not tell whether the place lies on it.
-    near: f64 = 0.5, unit "inlier distances", from "set by hand";
+    near: f64 = 0.5, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// A place on a planar patch lies on another patch whose plane is closer than this.
-    max_offset: f64 = 0.15, unit "inlier distances", from "set by hand";
+    max_offset: f64 = 0.15, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Other places lie on a surface that is closer than this.
-    max_apart: f64 = 0.25, unit "inlier distances", from "set by hand";
+    max_apart: f64 = 0.25, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Fewer patches do not show whether the surfaces coincide.
-    min_pairs: usize = 100, unit "patches", from "set by hand in b0e7886";
+    min_pairs: usize = 100, unit "patches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
 }
 
 /// The normal of a planar patch, without a sign, and the standard deviation across it.

@@ -11,7 +11,7 @@ use snake_geometry::Vector;
 
 tuning! {
     /// Pairs do not constrain a direction whose mean squared cosine to the normals is below this.
-    open_direction: f64 = 1e-3, unit "mean squared cosine", from "set by hand in 5d56655";
+    open_direction: f64 = 1e-3, unit "mean squared cosine", from "half and twice change no outcome (tests/bench/sensitivity.py)";
 }
 
 /// A source point in the target frame and the plane that it belongs to.

@@ -13,7 +13,7 @@ tuning! {
     /// Two normals agree if their cosine is above this.
     agreeing_cosine: f64 = 0.7, unit "cosine", from "set by hand in 3738705";
     /// Tolerance of a coarse depth image.
-    depth_margin: f64 = 1.5, unit "inlier distances", from "set by hand in 3738705";
+    depth_margin: f64 = 1.5, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Weight of violated free space beside the overlap in the score of a transform.
     violation_weight: f64 = 2.0, unit "overlap per share of violated free space",
         from "chosen on pairs of indoor scans in 3738705";
@@ -23,7 +23,7 @@ tuning! {
     max_opposed: f64 = 0.15, unit "share of the overlap",
         from "scans have 0.05 and less, simulated sweeps 0.14, objects around the origin 0.2 to 0.5 (042ae1b)";
     /// Number of the source's voxels that compare transforms coarsely, at most.
-    coarse_voxels: usize = 700, unit "voxels", from "set by hand in 3738705";
+    coarse_voxels: usize = 700, unit "voxels", from "half and twice change no outcome (tests/bench/sensitivity.py)";
 }
 
 /// The voxels of a cloud, indexed for the comparison with another cloud.

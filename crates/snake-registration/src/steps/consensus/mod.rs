@@ -21,21 +21,21 @@ use snake_geometry::{RigidTransform, Vector};
 
 tuning! {
     /// Number of transforms that `register` compares on the clouds, at most.
-    candidates: usize = 20, unit "transforms", from "set by hand in 3738705";
+    candidates: usize = 20, unit "transforms", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of matches that are compared, at most: the graph has a bit for every pair of them.
     max_matches: usize = 20_000, unit "matches", from "the range of the option `max_matches`: 50 MB";
     /// Number of matches from which transforms are estimated: those with the most support in the
     /// graph.
-    max_seeds: usize = 200, unit "matches", from "set by hand in 3738705";
+    max_seeds: usize = 200, unit "matches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of neighbours in the graph to which a seed's first transform is fitted.
-    group: usize = 20, unit "matches", from "set by hand in 3738705";
+    group: usize = 20, unit "matches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of least-squares fits to the inliers, at most.
-    max_refits: usize = 5, unit "fits", from "set by hand in 3738705";
+    max_refits: usize = 5, unit "fits", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of points that tell whether two transforms differ.
-    probes: usize = 50, unit "points", from "set by hand in 3738705";
+    probes: usize = 50, unit "points", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Two matches are incompatible if a cosine between normals and their connecting line differs
     /// by this between the clouds.
-    cosine_tolerance: f32 = 0.3, unit "cosine", from "set by hand in 3738705";
+    cosine_tolerance: f32 = 0.3, unit "cosine", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Two matches whose points are closer are incompatible: they agree on any transform.
     min_edge: f32 = 2.0, unit "inlier distances", from "set by hand in 3738705";
 }

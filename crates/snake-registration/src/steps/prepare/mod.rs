@@ -28,15 +28,15 @@ use snake_geometry::{Neighbors, Point};
 
 tuning! {
     /// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given.
-    voxels_per_diameter: f64 = 80.0, unit "voxels", from "set by hand in 5d56655";
+    voxels_per_diameter: f64 = 80.0, unit "voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
     /// Voxels are made larger for clouds whose neighbouring voxels are farther apart than this.
-    max_spacing: f64 = 6.0, unit "voxels", from "set by hand in b0e7886, for the time of sparse clouds beside dense ones";
+    max_spacing: f64 = 6.0, unit "voxels", from "half and twice change no outcome (tests/bench/sensitivity.py); for the time of sparse clouds beside dense ones";
     /// Radius of the neighbourhood of a normal, unless it is given.
-    normal_spacings: f64 = 2.0, unit "spacings of the voxels", from "set by hand in 5d56655";
+    normal_spacings: f64 = 2.0, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
     /// Radius of the neighbourhood of FPFH, unless it is given.
-    feature_spacings: f64 = 5.0, unit "spacings of the voxels", from "set by hand in 3738705";
+    feature_spacings: f64 = 5.0, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
     /// Inlier distance, unless it is given.
-    inlier_spacings: f64 = 1.5, unit "spacings of the voxels", from "set by hand in 5d56655";
+    inlier_spacings: f64 = 1.5, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
     /// The frame's origin is taken for the sensor's position if this share of the cloud is visible
     /// from there.
     min_visible: f64 = 0.65, unit "share of the voxels",

@@ -19,11 +19,11 @@ use snake_geometry::{RigidTransform, Vector};
 
 tuning! {
     /// Number of ICP steps before transforms are compared.
-    coarse_steps: usize = 5, unit "steps", from "set by hand in 3738705";
+    coarse_steps: usize = 5, unit "steps", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Number of transforms that are refined on all voxels, at least.
-    min_refined: usize = 3, unit "transforms", from "set by hand in 3738705";
+    min_refined: usize = 3, unit "transforms", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// A guess is first refined with pairs up to this far apart.
-    wide: f64 = 4.0, unit "inlier distances", from "set by hand in 3738705";
+    wide: f64 = 4.0, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Two candidates are one if the clouds are not moved farther apart than this (root mean
     /// square).
     min_difference: f64 = 2.0, unit "inlier distances", from "set by hand in 3738705";
@@ -35,12 +35,12 @@ tuning! {
         from "chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3";
     /// ICP ends when the translation is below this share of the distance between pairs, and the
     /// rotation below this angle.
-    tolerance: f64 = 1e-5, unit "share of the distance, and radians", from "set by hand in 5d56655";
+    tolerance: f64 = 1e-5, unit "share of the distance, and radians", from "half and twice change no outcome (tests/bench/sensitivity.py)";
     /// Distance between pairs of planar patches and number of steps, round by round.
     patch_rounds: [(f64, usize); 2] = [(4.0, 4), (2.0, 8)], unit "fine voxels, steps",
         from "set for time in 8e0d76d (0.08 instead of 0.11 s of CPU for a pair of made streets)";
     /// Pairs of patches farther apart than this are left out.
-    max_medians: f64 = 4.0, unit "medians of all pairs", from "set by hand in b0e7886";
+    max_medians: f64 = 4.0, unit "medians of all pairs", from "half and twice change no outcome (tests/bench/sensitivity.py)";
 }
 
 /// A transform with the figures that rank it.
