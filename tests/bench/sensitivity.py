@@ -5,7 +5,8 @@
 
 The pairs are one of each kind of confusion.py and every sixth of the scenes' `pairs.json`; pairs that took more than
 `--slowest` seconds are left out. A constant matters if, at half or twice its value, a pair has another outcome: right or
-wrong, reliable or not. What only `align`, maps, several instances, unknown scales and notes use is left out.
+wrong, reliable or not. What only `align`, maps, several instances, unknown scales, single matches, `--gravity` and notes use
+is left out.
 """
 
 import argparse
@@ -20,6 +21,8 @@ import confusion
 
 CRATE = Path(__file__).parents[2] / "crates/snake-registration"
 ROW = re.compile(r'^\s+(\w+): [^=\n]+ = [^;]*?, unit "[^"]*",\s*from "([^"]*)";', re.MULTILINE)
+# Of unknown scales, units, single matches, a known gravity, and names in notes.
+LEFT_OUT = "scale_|min_scale|unit_ratio|(lead|min_lead|max_tilt|no_rotation)$"
 UNUSED = (
     "register/instances",
     "register/scale",
@@ -37,7 +40,7 @@ def constants(only: str) -> list[tuple[str, str]]:
         text, place = file.read_text(), str(file.relative_to(CRATE / "src").with_suffix("")).removesuffix("/mod")
         if "\ntuning! {" in text and only in place and not place.startswith(UNUSED):
             module = "::".join(["snake_registration", *place.split("/")])
-            rows = [row for row in ROW.findall(text) if not re.match("scale_|min_scale|unit_ratio", row[0])]
+            rows = [row for row in ROW.findall(text) if not re.match(LEFT_OUT, row[0])]
             found += [(f"{module}::{name}", source) for name, source in rows]
     return found
 

@@ -9,7 +9,7 @@ use snake_geometry::{RigidTransform, Vector};
 
 tuning! {
     /// The axis that points up in both clouds may differ by this angle: no sensor is quite level.
-    max_tilt: f64 = 5.0, unit "degrees", from "half and twice change no outcome (tests/bench/sensitivity.py); KITTI sweeps of one drive differ by up to 1.5";
+    max_tilt: f64 = 5.0, unit "degrees", from "set by hand: KITTI sweeps of one drive differ by up to 1.5";
 }
 
 /// A match: a keypoint and unit normal of the source, with those of its partner in the target.

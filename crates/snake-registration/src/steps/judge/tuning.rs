@@ -51,7 +51,7 @@ tuning! {
     fixed_margin: f64 = 0.07, unit "overlap",
         from "slides fit worse by up to 0.04 in corridors and tunnels whose patches noise hides (190fc07)";
     /// A motion with a smaller rotation part is named a translation.
-    no_rotation: f64 = 0.1, unit "length of the rotation part", from "half and twice change no outcome (tests/bench/sensitivity.py)";
+    no_rotation: f64 = 0.1, unit "length of the rotation part", from "set by hand in c29aabe";
     /// Distances by which the source slides to either side.
     slides: [f64; 6] = [2.0, 3.0, 4.0, 6.0, 9.0, 12.0], unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
 
@@ -182,9 +182,9 @@ tuning! {
         from "tests/bench/fit_verdict.py on 785 pairs (e823698)";
     /// Of the lead over the next transform, where single matches were compared.
     lead: [f64; 2] = [10.0, 0.25], unit "log-odds per overlap; overlap",
-        from "half and twice change no outcome (tests/bench/sensitivity.py); seen on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
+        from "set by hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones";
     /// With a smaller lead the next transform is a rival, where single matches were compared.
-    min_lead: f64 = 0.3, unit "share of the score", from "half and twice change no outcome (tests/bench/sensitivity.py); seen on the same pairs";
+    min_lead: f64 = 0.3, unit "share of the score", from "set by hand on the same pairs";
     /// Number of the source's voxels that tell its scale, at most.
     scale_points: usize = 1500, unit "voxels", from "set for time";
     /// Number of steps to the factor, at most.
