@@ -68,8 +68,17 @@ fn fresh(length: usize) -> Vec<f32> {
     values
 }
 
+/// Zeros whose first ones lie in one huge page, where the operating system makes it, and the place of the first of these. A processor
+/// keeps the addresses of fewer than a hundred small pages at hand.
+pub(crate) fn in_huge_page(length: usize) -> (Vec<f32>, usize) {
+    let page = HUGE_PAGE / size_of::<f32>();
+    let values = fresh(length.next_multiple_of(page) + page);
+    let address = values.as_ptr().addr();
+    let first = (address.next_multiple_of(HUGE_PAGE) - address) / size_of::<f32>();
+    (values, first)
+}
+
 /// The size of a huge page of most processors, in bytes.
-#[cfg(all(target_os = "linux", not(miri)))]
 const HUGE_PAGE: usize = 2 << 20;
 
 impl Buffer {

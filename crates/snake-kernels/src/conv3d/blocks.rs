@@ -8,10 +8,10 @@
 use rayon::prelude::*;
 
 use super::pack::Block;
-use super::transform::{MAX_TILE, Partial, inputs_of_axis, outputs_of_axis, store_inputs};
+use super::transform::{MAX_TILE, Partial, inputs_of_axis, outputs_of_axis, store_points, tile_of};
 use super::{BATCH_4, BUFFERS, Buffers, Gather, PackedConv3d, multiply_tiles};
 use crate::SimdLevel;
-use crate::simd::{LANES, Lanes, load, simd_levels, store};
+use crate::simd::{LANES, Lanes, load, load_at, simd_levels, store};
 
 /// Voxels of a block along each axis.
 pub const BLOCK_SIDE: usize = MAX_TILE;
@@ -21,6 +21,9 @@ pub const BLOCK_VOXELS: usize = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE;
 
 /// Values of a tile's input along each axis.
 const N: usize = BLOCK_SIDE + 2;
+
+/// Blocks of an upsampled source that are multiplied together: their products stay in the second-level cache.
+const BATCH_UPSAMPLED: usize = 4;
 
 /// The input volume of a convolution of blocks.
 #[derive(Debug, Clone, Copy)]
@@ -39,36 +42,49 @@ pub struct BlockSource<'a> {
 }
 
 impl BlockSource<'_> {
-    /// The blocks about an output block; 0 for those that have no values.
+    /// Where the values about an output block lie: COUNT voxels along each axis, from the one before the block on. Of an upsampled
+    /// volume each voxel counts once.
     #[inline(always)]
-    fn stored(&self, output: usize) -> [u32; 27] {
-        let number = (self.values.len() / (BLOCK_VOXELS * self.channels)) as u32;
-        self.neighbors[output].map(|neighbor| if neighbor < number { neighbor } else { 0 })
-    }
-
-    /// Where the values of a voxel begin, at these places along x, y and z.
-    #[inline(always)]
-    fn first_value(&self, neighbors: &[u32; 27], [x, y, z]: [[usize; 2]; 3]) -> usize {
-        let neighbor = neighbors[(z[0] * 3 + y[0]) * 3 + x[0]] as usize;
-        let voxel = (z[1] * BLOCK_SIDE + y[1]) * BLOCK_SIDE + x[1];
-        (neighbor * BLOCK_VOXELS + voxel) * self.channels
-    }
-
-    /// For the voxels about an output block along one axis, which of the three blocks holds each, and its place there.
-    #[inline(always)]
-    fn places(&self, output: usize, axis: usize) -> [[usize; 2]; N] {
-        let mut places = [[0; 2]; N];
-        for (i, place) in places.iter_mut().enumerate() {
-            // Counted from the first voxel of the lower neighbour.
-            let at = match self.halves {
-                None => i + BLOCK_SIDE - 1,
-                Some(halves) => {
-                    i.div_ceil(2) + BLOCK_SIDE - 1 + BLOCK_SIDE / 2 * usize::from(halves[output] >> axis & 1)
-                }
-            };
-            *place = [at / BLOCK_SIDE, at % BLOCK_SIDE];
+    fn about<const COUNT: usize>(&self, output: usize) -> About<COUNT> {
+        let size = BLOCK_VOXELS * self.channels;
+        let number = self.values.len() / size;
+        let mut about = About { starts: [[0; 3]; 9], first: [BLOCK_SIDE - 1; 3], channels: self.channels };
+        for (place, &neighbor) in self.neighbors[output].iter().enumerate() {
+            let neighbor = neighbor as usize;
+            about.starts[place % 9][place / 9] = if neighbor < number { neighbor * size } else { 0 };
         }
-        places
+        if let Some(halves) = self.halves {
+            for (axis, first) in about.first.iter_mut().enumerate() {
+                *first += BLOCK_SIDE / 2 * usize::from(halves[output] >> axis & 1);
+            }
+        }
+        about
+    }
+}
+
+/// Where the values about an output block lie.
+struct About<const COUNT: usize> {
+    /// Where the values of each block about it begin, `[yx][z]`; those of block 0 for blocks that have none.
+    starts: [[usize; 3]; 9],
+    /// The first voxel along x, y and z, counted from the first one of the lower neighbours. Only upsampled blocks differ in it.
+    first: [usize; 3],
+    channels: usize,
+}
+
+impl<const COUNT: usize> About<COUNT> {
+    /// Where the values of the voxels at these places along x and y begin.
+    #[inline(always)]
+    fn along_z(&self, x: usize, y: usize) -> [usize; COUNT] {
+        let first = if COUNT == N { [BLOCK_SIDE - 1; 3] } else { self.first };
+        let [x, y] = [first[0] + x, first[1] + y];
+        let starts = self.starts[y / BLOCK_SIDE * 3 + x / BLOCK_SIDE];
+        let place = (y % BLOCK_SIDE * BLOCK_SIDE + x % BLOCK_SIDE) * self.channels;
+        let mut values = [0; COUNT];
+        for (z, value) in values.iter_mut().enumerate() {
+            let z = first[2] + z;
+            *value = starts[z / BLOCK_SIDE] + place + z % BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE * self.channels;
+        }
+        values
     }
 }
 
@@ -101,9 +117,12 @@ pub struct BlockActivation<'a> {
 /// to be used.
 ///
 /// # Panics
-/// If the layer has tiles of 2, or a slice is shorter than the sizes say.
+/// If the layer is not one of [`PackedConv3d::of_blocks`] for this source, or a slice is shorter than the sizes say.
 pub fn conv3d_blocks(level: SimdLevel, conv: &BlockConv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) {
-    assert_eq!(conv.layer.tile, BLOCK_SIDE, "a block is one tile");
+    let BlockConv3d { layer, source, .. } = conv;
+    assert_eq!(layer.tile == 2, source.halves.is_some(), "upsampled blocks have tiles of 2");
+    let channels: usize = layer.blocks.iter().map(|block| block.channels).sum();
+    assert!(channels == source.channels && source.values.len() >= BLOCK_VOXELS * channels, "block 0, and all channels");
     let batch = BATCH_4 * BLOCK_VOXELS * conv.layer.outputs;
     output.par_chunks_mut(batch).enumerate().for_each(|(number, output)| {
         if !stop() {
@@ -124,30 +143,61 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     first: usize,
     output: &mut [f32],
 ) {
+    if conv.layer.tile == 2 {
+        // Eight tiles a block.
+        for (number, output) in output.chunks_mut(BATCH_UPSAMPLED * BLOCK_VOXELS * conv.layer.outputs).enumerate() {
+            tiles_of_blocks::<L, ROWS, 3>(token, conv, buffers, first + number * BATCH_UPSAMPLED, output);
+        }
+    } else {
+        tiles_of_blocks::<L, ROWS, 6>(token, conv, buffers, first, output);
+    }
+}
+
+#[inline(always)]
+fn tiles_of_blocks<L: Lanes, const ROWS: usize, const N: usize>(
+    token: L::Token,
+    conv: &BlockConv3d,
+    buffers: &mut Buffers,
+    first: usize,
+    output: &mut [f32],
+) {
     let &BlockConv3d { layer, adds, activation, .. } = conv;
     let number = output.len() / (BLOCK_VOXELS * layer.outputs);
     let gather = BlocksFrom { conv, first, number };
-    let (products, pitch) =
-        multiply_tiles::<L, ROWS, N>(token, layer, number, &gather, &mut buffers.inputs, &mut buffers.products);
+    let side = tile_of(N);
+    let tiles_along = BLOCK_SIDE / side;
+    let num_tiles = number * tiles_along.pow(3);
+    let (products, pitch) = multiply_tiles::<L, ROWS, N>(token, layer, num_tiles, &gather, &mut buffers.values);
     let output_blocks = layer.outputs.div_ceil(LANES);
     let zero = L::splat(token, 0.0);
     let mut partial = Partial::<L, N>::new(token);
-    for (block, output) in output.chunks_exact_mut(BLOCK_VOXELS * layer.outputs).enumerate() {
+    for tile in 0..num_tiles {
+        let [block, within] = [tile / tiles_along.pow(3), tile % tiles_along.pow(3)];
+        let [tile_z, tile_y, tile_x] =
+            [within / (tiles_along * tiles_along), within / tiles_along % tiles_along, within % tiles_along];
+        let first_voxel =
+            ((block * BLOCK_SIDE + tile_z * side) * BLOCK_SIDE + tile_y * side) * BLOCK_SIDE + tile_x * side;
         for out in 0..output_blocks {
-            partial.read(&products[out * pitch + block * LANES..], output_blocks * pitch);
+            partial.read(&products[out * pitch + tile * LANES..], output_blocks * pitch);
             let lanes = LANES.min(layer.outputs - out * LANES);
-            let terms = activation.map(|BlockActivation { bias, constant }| {
-                [bias, constant].map(|terms| load::<L>(token, &terms[out * LANES..], lanes))
-            });
-            for y in 0..BLOCK_SIDE {
-                for x in 0..BLOCK_SIDE {
+            let terms = match activation {
+                Some(BlockActivation { bias, constant }) => {
+                    let at = out * LANES;
+                    Some([load::<L>(token, &bias[at..], lanes), load::<L>(token, &constant[at..], lanes)])
+                }
+                None => None,
+            };
+            for y in 0..side {
+                for x in 0..side {
                     let mut column = [zero; N];
                     for (value, plane) in column.iter_mut().zip(&partial.planes) {
                         *value = plane[y][x];
                     }
-                    for (z, value) in outputs_of_axis(column).into_iter().enumerate() {
-                        let voxel = (z * BLOCK_SIDE + y) * BLOCK_SIDE + x;
+                    for (z, value) in outputs_of_axis(column).into_iter().enumerate().take(side) {
+                        let voxel = first_voxel + (z * BLOCK_SIDE + y) * BLOCK_SIDE + x;
                         let output = &mut output[voxel * layer.outputs + out * LANES..];
+                        // Of the next block.
+                        L::prefetch(output.as_ptr().wrapping_add(BLOCK_VOXELS * layer.outputs));
                         let value = if adds { value.add(load(token, output, lanes)) } else { value };
                         let value = match terms {
                             Some([bias, constant]) => value.add(bias).max(zero).sub(constant),
@@ -170,65 +220,79 @@ struct BlocksFrom<'a> {
 
 impl Gather for BlocksFrom<'_> {
     #[inline(always)]
-    fn transform<L: Lanes, const M: usize>(
+    fn fetch_ahead<L: Lanes>(&self, part: usize, parts: usize) {
+        let source = &self.conv.source;
+        if let Some(neighbors) = source.neighbors.get(self.first + self.number) {
+            let blocks = if source.halves.is_some() { self.number.div_ceil(8) } else { self.number };
+            let lines = blocks * BLOCK_VOXELS * source.channels / LANES;
+            let first = neighbors[13] as usize * BLOCK_VOXELS * source.channels;
+            for line in part * lines / parts..(part + 1) * lines / parts {
+                L::prefetch(source.values.as_ptr().wrapping_add(first + line * LANES));
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn transform<L: Lanes, const M: usize>(&self, token: L::Token, block: &Block, to: &mut [f32], pitch: usize) {
+        if M == N {
+            self.transform_about::<L, N, N>(token, block, to, pitch);
+        } else {
+            self.transform_about::<L, 4, 5>(token, block, to, pitch);
+        }
+    }
+}
+
+impl BlocksFrom<'_> {
+    /// Transforms so many inputs along each axis, to so many values.
+    #[inline(always)]
+    fn transform_about<L: Lanes, const INPUTS: usize, const POINTS: usize>(
         &self,
         token: L::Token,
         block: &Block,
-        half: usize,
         to: &mut [f32],
         pitch: usize,
     ) {
         let source = &self.conv.source;
-        let lanes = LANES.min(block.channels - half * LANES);
-        let values = &source.values[block.first[0] + half * LANES..];
         let zero = L::splat(token, 0.0);
-        let mut columns = [[[zero; M]; M]; M];
-        let mut rows = [[zero; M]; M];
-        for tile in 0..self.number {
-            let output = self.first + tile;
-            let neighbors = source.stored(output);
-            // The first half of the block's channels fetches the next block's values for both halves.
-            let next = if half == 0 && output + 1 < source.neighbors.len() { output + 1 } else { output };
-            let fetched = source.stored(next);
-            let [next_x, next_y, next_z] = [source.places(next, 0), source.places(next, 1), source.places(next, 2)];
-            let [x, y, z] = [source.places(output, 0), source.places(output, 1), source.places(output, 2)];
-            // Two neighbours of an upsampled volume are one voxel.
-            let is_repeated = |i: usize| block.upsampled && i > 0 && i.is_multiple_of(2);
-            for i in 0..M {
-                if is_repeated(i) {
-                    columns[i] = columns[i - 1];
-                    continue;
-                }
-                for j in 0..M {
-                    if is_repeated(j) {
-                        rows[j] = rows[j - 1];
-                        continue;
-                    }
-                    let mut along_z = [zero; M];
-                    for k in 0..M {
-                        if is_repeated(k) {
-                            along_z[k] = along_z[k - 1];
-                            continue;
+        let tiles = if INPUTS == N { 1 } else { 8 };
+        // `[x][z][y]`, and the values along z of one x.
+        let mut columns = [[[zero; POINTS]; POINTS]; INPUTS];
+        let mut rows = [[zero; POINTS]; INPUTS];
+        let mut next = source.about::<INPUTS>(self.first);
+        for number in 0..self.number {
+            let about = next;
+            next = source.about((self.first + number + 1).min(source.neighbors.len() - 1));
+            for half in 0..block.channels.div_ceil(LANES) {
+                let lanes = LANES.min(block.channels - half * LANES);
+                let values = &source.values[block.first[0] + half * LANES..];
+                for (x, column) in columns.iter_mut().enumerate() {
+                    for (y, row) in rows.iter_mut().enumerate() {
+                        let mut along_z = [zero; INPUTS];
+                        let [starts, ahead] = [about.along_z(x, y), next.along_z(x, y)];
+                        for (z, value) in along_z.iter_mut().enumerate() {
+                            L::prefetch(values.as_ptr().wrapping_add(ahead[z]));
+                            let from = starts[z];
+                            *value = if lanes == LANES {
+                                // SAFETY: block 0 and those that `about` gives have values, as many as the layer has channels:
+                                // `conv3d_blocks` asserts it.
+                                unsafe { load_at(token, values, from) }
+                            } else {
+                                load(token, &values[from..], lanes)
+                            };
                         }
-                        if half == 0 {
-                            let from = source.first_value(&fetched, [next_x[i], next_y[j], next_z[k]]);
-                            let ahead = values.as_ptr().wrapping_add(from);
-                            L::prefetch(ahead);
-                            L::prefetch(ahead.wrapping_add(LANES));
+                        *row = inputs_of_axis(along_z);
+                    }
+                    for (z, along_y) in column.iter_mut().enumerate() {
+                        let mut inputs = [zero; INPUTS];
+                        for (value, row) in inputs.iter_mut().zip(&rows) {
+                            *value = row[z];
                         }
-                        along_z[k] = load(token, &values[source.first_value(&neighbors, [x[i], y[j], z[k]])..], lanes);
+                        *along_y = inputs_of_axis(inputs);
                     }
-                    rows[j] = inputs_of_axis(along_z);
                 }
-                for z in 0..M {
-                    let mut along_y = [zero; M];
-                    for (value, row) in along_y.iter_mut().zip(&rows) {
-                        *value = row[z];
-                    }
-                    columns[i][z] = inputs_of_axis(along_y);
-                }
+                let first = number * tiles * block.width() + half * LANES;
+                store_points(&columns, &mut to[first..], block.width(), pitch);
             }
-            store_inputs(&columns, &mut to[tile * super::pack::BLOCK..], pitch);
         }
     }
 }
@@ -314,7 +378,7 @@ mod tests {
                     (of(up).blocked(channels, volume), of(up).neighbors(u32::from(up), of(false).places()))
                 })
                 .collect();
-            let parts = PackedConv3d::new(&sources, outputs, &weight, BLOCK_SIDE).into_sources();
+            let parts = PackedConv3d::of_blocks(&sources, outputs, &weight);
             let last = parts.len() - 1;
             for level in SimdLevel::available() {
                 let mut output = vec![f32::NAN; expected.len()];

@@ -15,7 +15,7 @@
 //! the N³ points are a matrix product. Larger tiles need more transformed weights, so small volumes use the small tiles.
 //!
 //! A coarser input that is upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every axis and 27
-//! of the 64 points remain.
+//! of the 64 points remain: of four upsampled outputs, as many as with M = 4, with an eighth of the weights.
 
 mod blocks;
 mod pack;
@@ -29,6 +29,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use crate::SimdLevel;
+use crate::buffer_pool::in_huge_page;
 use crate::constant_region::copy_constant_tiles;
 use crate::group_norm::add_in_order;
 use crate::simd::{LANES, Lanes, simd_levels};
@@ -96,18 +97,28 @@ impl Task<'_> {
 /// Tiles, transformed inputs and products of a task.
 #[derive(Default)]
 struct Buffers {
-    inputs: Vec<f32>,
-    products: Vec<f32>,
+    values: Values,
     /// The rows and places of the tiles to compute.
     tiles: Vec<[usize; 2]>,
 }
 
-/// The first `length` values of a buffer, which grows where it is shorter. Old contents stay.
-fn first_values(values: &mut Vec<f32>, length: usize) -> &mut [f32] {
-    if values.len() < length {
-        values.resize(length, 0.0);
+/// Memory of transformed inputs and of products, whose points lie far apart: in small pages each would wait for its address.
+#[derive(Default)]
+struct Values {
+    memory: Vec<f32>,
+    /// Where the huge page begins.
+    first: usize,
+}
+
+impl Values {
+    /// So many inputs and products. Old contents stay where the memory is long enough.
+    fn parts(&mut self, inputs: usize, products: usize) -> [&mut [f32]; 2] {
+        if self.memory.len() < self.first + inputs + products {
+            (self.memory, self.first) = in_huge_page(inputs + products);
+        }
+        let (inputs, rest) = self.memory[self.first..].split_at_mut(inputs);
+        [inputs, &mut rest[..products]]
     }
-    &mut values[..length]
 }
 
 thread_local! {
@@ -173,7 +184,7 @@ fn divide(
 
 /// Tiles that are multiplied together, for M = 2 and M = 4: their transforms stay in the second-level cache.
 const BATCH_2: usize = 32;
-const BATCH_4: usize = 16;
+const BATCH_4: usize = 24;
 
 simd_levels! {
     fn conv3d_task(conv: &Conv3d, buffers: &mut Buffers, task: Task, sums: &mut [[f64; 2]]) = conv3d_task_body
@@ -205,7 +216,7 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let &Conv3d { layer, size, originals, .. } = conv;
     let [tile_rows, tiles_along] = [size[1].div_ceil(N - 2), size[2].div_ceil(N - 2)];
     let rows = (task.planes[0].len() / (size[2] * layer.outputs)).div_ceil(N - 2);
-    let Buffers { inputs, products, tiles } = buffers;
+    let Buffers { values, tiles } = buffers;
     tiles.clear();
     for row in task.row..task.row + rows {
         for x in 0..tiles_along {
@@ -219,8 +230,7 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     let mut partial = Partial::<L, N>::new(token);
     for tiles in tiles.chunks(batch) {
         let gather = TilesOfPlane { conv, plane: task.plane, tiles };
-        let (products, product_pitch) =
-            multiply_tiles::<L, ROWS, N>(token, layer, tiles.len(), &gather, inputs, products);
+        let (products, product_pitch) = multiply_tiles::<L, ROWS, N>(token, layer, tiles.len(), &gather, values);
         for (tile, &[row, x]) in tiles.iter().enumerate() {
             for out in 0..output_blocks {
                 let products = &products[out * product_pitch + tile * LANES..];
@@ -234,15 +244,12 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
 
 /// The tiles of a batch, wherever their inputs lie.
 trait Gather {
-    /// Transforms LANES input channels of each tile to V. `to` holds `pitch` values for each point, BLOCK for each tile.
-    fn transform<L: Lanes, const N: usize>(
-        &self,
-        token: L::Token,
-        block: &Block,
-        half: usize,
-        to: &mut [f32],
-        pitch: usize,
-    );
+    /// Transforms the block's input channels of each tile to V. `to` holds `pitch` values for each point, the block's width for each tile.
+    fn transform<L: Lanes, const N: usize>(&self, token: L::Token, block: &Block, to: &mut [f32], pitch: usize);
+
+    /// Fetches one of so many equal parts of what the next batch reads.
+    #[inline(always)]
+    fn fetch_ahead<L: Lanes>(&self, _part: usize, _parts: usize) {}
 }
 
 /// Tiles `[row, x]` of one plane of tiles.
@@ -254,15 +261,10 @@ struct TilesOfPlane<'a> {
 
 impl Gather for TilesOfPlane<'_> {
     #[inline(always)]
-    fn transform<L: Lanes, const N: usize>(
-        &self,
-        token: L::Token,
-        block: &Block,
-        half: usize,
-        to: &mut [f32],
-        pitch: usize,
-    ) {
-        transform_inputs::<L, N>(token, self, block, half, to, pitch);
+    fn transform<L: Lanes, const N: usize>(&self, token: L::Token, block: &Block, to: &mut [f32], pitch: usize) {
+        for half in 0..block.channels.div_ceil(LANES) {
+            transform_inputs::<L, N>(token, self, block, half, &mut to[half * LANES..], pitch);
+        }
     }
 }
 
@@ -273,28 +275,36 @@ fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
     layer: &PackedConv3d,
     num_tiles: usize,
     gather: &impl Gather,
-    inputs: &mut Vec<f32>,
-    products: &'a mut Vec<f32>,
+    values: &'a mut Values,
 ) -> (&'a [f32], usize) {
     let output_blocks = layer.outputs.div_ceil(LANES);
     let padded_tiles = num_tiles.next_multiple_of(ROWS);
     // One cache line more than a power of two keeps the points out of the same cache sets.
-    let input_pitch = padded_tiles * BLOCK + LANES;
     let product_pitch = padded_tiles * LANES + LANES;
-    let inputs = first_values(inputs, N * N * N * input_pitch);
-    let products = first_values(products, N * N * N * output_blocks * product_pitch);
+    let num_inputs = N * N * N * (padded_tiles * BLOCK + LANES);
+    let [inputs, products] = values.parts(num_inputs, N * N * N * output_blocks * product_pitch);
     for (number, block) in layer.blocks.iter().enumerate() {
-        for half in 0..block.channels.div_ceil(LANES) {
-            gather.transform::<L, N>(token, block, half, &mut inputs[half * LANES..], input_pitch);
-        }
+        let input_pitch = padded_tiles * block.width() + LANES;
+        gather.transform::<L, N>(token, block, inputs, input_pitch);
         for (k, p) in points(N, block.upsampled).enumerate() {
-            let inputs = &inputs[p * input_pitch..][..padded_tiles * BLOCK];
+            if number == 0 {
+                gather.fetch_ahead::<L>(k, N * N * N);
+            }
+            let inputs = &inputs[p * input_pitch..][..padded_tiles * block.width()];
             let products = &mut products[p * output_blocks * product_pitch..][..output_blocks * product_pitch];
             for (out, products) in products.chunks_exact_mut(product_pitch).enumerate() {
                 let from = (k * output_blocks + out) * block.channels;
                 let (weights, rest) = block.weights[from..].split_at(block.channels);
                 let next = &rest[..rest.len().min(block.channels)];
-                multiply::<L, ROWS>(token, inputs, weights, next, &mut products[..padded_tiles * LANES], number == 0);
+                multiply::<L, ROWS>(
+                    token,
+                    inputs,
+                    block.width(),
+                    weights,
+                    next,
+                    &mut products[..padded_tiles * LANES],
+                    number == 0,
+                );
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::{FAR, NEAR};
 use crate::simd::LANES;
 
-/// Input channels of one matrix product.
+/// Input channels of one matrix product, at most.
 pub(super) const BLOCK: usize = 2 * LANES;
 
 /// Up to BLOCK channels of one source.
@@ -16,6 +16,13 @@ pub(super) struct Block {
     /// `[point][output block][channel][lane]`; points that are always zero are left out.
     pub(super) weights: Vec<[f32; LANES]>,
     pub(super) upsampled: bool,
+}
+
+impl Block {
+    /// Values of one tile at one point: whole lanes.
+    pub(super) fn width(&self) -> usize {
+        self.channels.next_multiple_of(LANES)
+    }
 }
 
 /// Weights of a 3x3x3 convolution without bias, transformed and packed.
@@ -125,16 +132,20 @@ impl PackedConv3d {
         Self { outputs, tile, blocks }
     }
 
-    /// One convolution for each source, whose sums are added.
-    pub fn into_sources(self) -> Vec<Self> {
-        let Self { outputs, tile, blocks } = self;
-        let mut parts: Vec<Self> = Vec::new();
-        for block in blocks {
-            if block.source == parts.len() {
-                parts.push(Self { outputs, tile, blocks: Vec::new() });
-            }
-            let part = &mut parts[block.source];
-            part.blocks.push(Block { source: 0, first: [block.first[0]; 2], ..block });
+    /// Transforms weights as [`PackedConv3d::new`] does, to one convolution of blocks for each source, whose sums are added.
+    ///
+    /// # Panics
+    /// If there are fewer weights than the shape says.
+    pub fn of_blocks(sources: &[(usize, bool)], outputs: usize, weight: &[f32]) -> Vec<Self> {
+        let inputs: usize = sources.iter().map(|s| s.0).sum();
+        let mut before = 0;
+        let mut parts = Vec::new();
+        for &(channels, upsampled) in sources {
+            let filters = weight.chunks_exact(27 * inputs);
+            let part: Vec<f32> = filters.flat_map(|filter| &filter[27 * before..][..27 * channels]).copied().collect();
+            // Of an upsampled source the small tiles need as many products as the large ones, and an eighth of the weights.
+            parts.push(Self::new(&[(channels, upsampled)], outputs, &part, if upsampled { 2 } else { 4 }));
+            before += channels;
         }
         parts
     }

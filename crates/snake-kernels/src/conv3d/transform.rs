@@ -3,15 +3,15 @@
 //! The bodies of kernels are loops and functions marked for inlining: a closure would be compiled without the level's
 //! instructions.
 
-use super::pack::{BLOCK, Block};
+use super::pack::Block;
 use super::{Conv3d, FAR, NEAR, Task, TilesOfPlane};
-use crate::simd::{LANES, Lanes, load, store};
+use crate::simd::{LANES, Lanes, load, load_at, store, store_at};
 
 /// The largest M.
 pub(super) const MAX_TILE: usize = 4;
 
 /// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` holds `pitch` values for each
-/// point, BLOCK for each tile.
+/// point, the block's width for each tile.
 ///
 /// A column of inputs is transformed along z and y once, for all tiles along x that share it.
 #[inline(always)]
@@ -88,25 +88,50 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
                 columns[i][z] = inputs_of_axis(along_y);
             }
         }
-        store_inputs(&columns, &mut to[tile * BLOCK..], pitch);
+        store_points(&columns, &mut to[tile * block.width()..], 0, pitch);
     }
 }
 
-/// Transforms columns of inputs, which are transformed along z and y, along x, and stores them `pitch` apart.
+/// Transforms columns of inputs `[x][z][y]`, which are transformed along z and y, along x, and stores the points `pitch` apart: those of
+/// one tile, or those of the eight tiles of an upsampled block, `width` apart.
 #[inline(always)]
-pub(super) fn store_inputs<L: Lanes, const N: usize>(columns: &[[[L; N]; N]; N], to: &mut [f32], pitch: usize) {
+pub(super) fn store_points<L: Lanes, const INPUTS: usize, const POINTS: usize>(
+    columns: &[[[L; POINTS]; POINTS]; INPUTS],
+    to: &mut [f32],
+    width: usize,
+    pitch: usize,
+) {
     let token = columns[0][0][0].token();
-    for z in 0..N {
-        for y in 0..N {
-            let mut along_x = [L::splat(token, 0.0); N];
-            for (i, value) in along_x.iter_mut().enumerate() {
-                *value = columns[i][z][y];
+    // Along an axis.
+    let [tiles, points] = if POINTS == 5 { [2, 3] } else { [1, POINTS] };
+    let last = (tiles * tiles * tiles - 1) * width + (points * points * points - 1) * pitch;
+    assert!(to.len() >= last + LANES, "all points of the tiles");
+    for z in 0..POINTS {
+        for y in 0..POINTS {
+            let mut along_x = [L::splat(token, 0.0); INPUTS];
+            for (value, column) in along_x.iter_mut().zip(columns) {
+                *value = column[z][y];
             }
-            for (i, value) in inputs_of_axis(along_x).into_iter().enumerate() {
-                store(value, &mut to[((z * N + y) * N + i) * pitch..], LANES);
+            let values: [L; POINTS] = inputs_of_axis(along_x);
+            for tile in 0..tiles * tiles * tiles {
+                let [tile_z, tile_y, tile_x] = [tile / (tiles * tiles), tile / tiles % tiles, tile % tiles];
+                // The second tile begins at the middle one of five points.
+                let [point_z, point_y] = [z.wrapping_sub(2 * tile_z), y.wrapping_sub(2 * tile_y)];
+                if point_z < points && point_y < points {
+                    for x in 0..points {
+                        let place = tile * width + ((point_z * points + point_y) * points + x) * pitch;
+                        // SAFETY: the tile and the point are none beyond the last ones, which the assertion checks.
+                        unsafe { store_at(values[2 * tile_x + x], to, place) };
+                    }
+                }
             }
         }
     }
+}
+
+/// Outputs of a tile along an axis, from N products. Upsampled inputs of tiles of 2 have three points: (d0, d1, d1, d2) makes V2 zero.
+pub(super) const fn tile_of(n: usize) -> usize {
+    if n == 3 { 2 } else { n - 2 }
 }
 
 /// Partly transformed outputs of one tile. They are kept from tile to tile, because to clear them takes time.
@@ -129,15 +154,17 @@ impl<L: Lanes, const N: usize> Partial<L, N> {
     pub(super) fn read(&mut self, products: &[f32], pitch: usize) {
         let token = self.rows[0][0].token();
         let zero = L::splat(token, 0.0);
+        assert!(products.len() >= (N * N * N - 1) * pitch + LANES, "all points of the tile");
         for (z, plane) in self.planes.iter_mut().enumerate() {
             for (y, along_x) in self.rows.iter_mut().enumerate() {
                 let mut products_of_row = [zero; N];
                 for (x, value) in products_of_row.iter_mut().enumerate() {
-                    *value = load(token, &products[((z * N + y) * N + x) * pitch..], LANES);
+                    // SAFETY: z, y and x are below N, so this point is none beyond the last one, which the assertion checks.
+                    *value = unsafe { load_at(token, products, ((z * N + y) * N + x) * pitch) };
                 }
                 *along_x = outputs_of_axis(products_of_row);
             }
-            for x in 0..N - 2 {
+            for x in 0..tile_of(N) {
                 let mut column = [zero; N];
                 for (value, row) in column.iter_mut().zip(&self.rows) {
                     *value = row[x];
@@ -192,18 +219,27 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     }
 }
 
-/// Transforms N inputs along an axis to V.
+/// Transforms inputs along an axis to V: four or six of one tile, or the four different ones of two tiles of 2 of an upsampled
+/// source, which share the middle one of five values.
 #[inline(always)]
-pub(super) fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
-    let mut v = d;
-    if N == 4 {
+pub(super) fn inputs_of_axis<L: Lanes, const INPUTS: usize, const POINTS: usize>(d: [L; INPUTS]) -> [L; POINTS] {
+    let token = d[0].token();
+    let mut v = [L::splat(token, 0.0); POINTS];
+    if POINTS == 4 {
         v[0] = d[0].sub(d[2]);
         v[1] = d[1].add(d[2]);
         v[2] = d[2].sub(d[1]);
         v[3] = d[1].sub(d[3]);
         return v;
     }
-    let token = d[0].token();
+    if POINTS == 5 {
+        v[0] = d[0].sub(d[1]);
+        v[1] = d[1].add(d[1]);
+        v[2] = d[1].sub(d[2]);
+        v[3] = d[2].add(d[2]);
+        v[4] = d[2].sub(d[3]);
+        return v;
+    }
     let [near, far] = [L::splat(token, NEAR as f32), L::splat(token, FAR as f32)];
     let minus = [L::splat(token, -(NEAR * NEAR) as f32), L::splat(token, -(FAR * FAR) as f32)];
     let [sum, product] =
@@ -224,6 +260,9 @@ pub(super) fn inputs_of_axis<L: Lanes, const N: usize>(d: [L; N]) -> [L; N] {
 pub(super) fn outputs_of_axis<L: Lanes, const N: usize>(m: [L; N]) -> [L; MAX_TILE] {
     let token = m[0].token();
     let zero = L::splat(token, 0.0);
+    if N == 3 {
+        return [m[0].add(m[1]), m[1].sub(m[2]), zero, zero];
+    }
     if N == 4 {
         return [m[0].add(m[1]).add(m[2]), m[1].sub(m[2]).sub(m[3]), zero, zero];
     }

@@ -91,6 +91,28 @@ pub(crate) fn load<L: Lanes>(token: L::Token, values: &[f32], lanes: usize) -> L
     }
 }
 
+/// Loads LANES values without a check, which would cost as much as a load.
+///
+/// # Safety
+/// There are LANES values from `first` on.
+#[inline(always)]
+pub(crate) unsafe fn load_at<L: Lanes>(token: L::Token, values: &[f32], first: usize) -> L {
+    debug_assert!(first + LANES <= values.len());
+    // SAFETY: the caller's.
+    L::load(token, unsafe { &*values.as_ptr().add(first).cast() })
+}
+
+/// Stores all lanes without a check.
+///
+/// # Safety
+/// There are LANES values from `first` on.
+#[inline(always)]
+pub(crate) unsafe fn store_at<L: Lanes>(from: L, values: &mut [f32], first: usize) {
+    debug_assert!(first + LANES <= values.len());
+    // SAFETY: the caller's.
+    from.store(unsafe { &mut *values.as_mut_ptr().add(first).cast() });
+}
+
 /// Stores the first `lanes` lanes.
 #[inline(always)]
 pub(crate) fn store<L: Lanes>(from: L, values: &mut [f32], lanes: usize) {

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 use snake_kernels::{
-    BLOCK_SIDE, BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d,
-    SimdLevel, conv3d_blocks,
+    BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d, SimdLevel,
+    conv3d_blocks,
 };
 
 use crate::Result;
@@ -37,7 +37,7 @@ impl BlockConv {
         let bias: Vec<f32> =
             bias.iter().zip(constant_outputs).map(|(&b, added)| (f64::from(b) + added) as f32).collect();
         Ok(Self {
-            parts: PackedConv3d::new(sources, outputs, &weight, BLOCK_SIDE).into_sources(),
+            parts: PackedConv3d::of_blocks(sources, outputs, &weight),
             constant: bias.iter().map(|value| value.max(0.0)).collect(),
             bias,
         })
