@@ -188,7 +188,7 @@ def test_minutes_end_a_recipe_and_what_it_reached_goes_on_elsewhere(tmp_path, ca
     with tarfile.open(fileobj=io.BytesIO(b"".join(path.read_bytes() for path in parts))) as tar:
         moved = tar.getnames()
     assert "field/done.json" in moved and "field/weights.safetensors" not in moved
-    assert "settled/weights.safetensors" in moved
+    assert "longer/weights.safetensors" in moved
     main([*words, "--run-dir", str(tmp_path / "third"), "--unpack", str(pieces)])
     assert not list((tmp_path / "third").rglob("last.pt"))
     files = sorted(path for path in (pieces / "compact").iterdir() if path.name != moving.LIST)

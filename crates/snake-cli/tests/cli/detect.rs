@@ -73,7 +73,10 @@ fn verbose_options_are_those_of_the_model_of_the_cloud() {
 
 #[test]
 fn keypoints_that_cluster_have_a_note() {
-    let run = |radius: &str| snake(&["detect", &sample(), "--json", "--max-keypoints", "24", "--nms-radius", radius]);
+    let run = |radius: &str| {
+        let options = ["--max-keypoints", "24", "--set", "mode_radius=0", "--nms-radius", radius];
+        snake(&[&["detect", &sample(), "--json"], &options[..]].concat())
+    };
     let (crowded, spread) = (run("0.001"), run("10%"));
     assert!(stderr(&crowded).contains("the keypoints cluster"), "{}", stderr(&crowded));
     assert!(json_lines(&crowded)[0]["notes"][0].as_str().unwrap().contains("`nms_radius`"));

@@ -99,6 +99,11 @@ fn corners_come_first_where_they_are_preferred() {
     let ranks: Vec<f32> = corners.iter().zip(offsets).map(|(keypoint, offset)| keypoint.saliency + offset).collect();
     assert!(corners.len() > 5 && ranks.is_sorted_by(|a, b| a >= b), "{ranks:?}");
     assert_ne!(corners, preferring(Preference::Salient));
+    let of = |prefer, radius: f64| {
+        let options = options.with_prefer(prefer).with_mode_radius(Some(radius.into()));
+        options.radii(&points, field.voxel_size()).unwrap().mode
+    };
+    assert_eq!(of(Preference::Corners, 0.4), of(Preference::Salient, 0.2));
 }
 
 #[test]

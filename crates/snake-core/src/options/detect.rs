@@ -98,7 +98,7 @@ options! {
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
         /// Which keypoints come first: the most salient ones, or those at corners, ends and tips of the cloud.
         ///
-        /// Tiles have the most salient ones.
+        /// Tiles have the most salient ones. Corners are narrower than what repeats best: they have half the `mode_radius`.
         prefer, with_prefer: Preference = Preference::Salient, flag "KEYPOINTS";
         /// Largest number of keypoints; the best by `prefer` are kept.
         ///
@@ -123,12 +123,14 @@ impl DetectOptions {
             Length::Voxels(number) => Ok(number as f32 * voxel_size),
             multiple => multiple.in_units(name, points).map(|radius| radius as f32),
         };
+        let width = if self.prefer == Preference::Corners { 0.5 } else { 1.0 };
         Ok(Radii {
             nms: self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?,
             mode: self
                 .mode_radius
                 .map(|length| units("mode_radius", length))
                 .transpose()?
+                .map(|radius| radius * width)
                 .filter(|radius| *radius > 0.0),
         })
     }
