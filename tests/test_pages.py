@@ -285,7 +285,7 @@ def test_python_runs(page, folder, monkeypatch, capsys):
                     stand_in(Path(name))
             exec(code, names | {"snake_rs": snake_rs})
     if page == "README.md":
-        assert "Keypoints(64" in capsys.readouterr().out
+        assert "Keypoints(45" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if any("[options]" in b for b in blocks(page, "toml"))])

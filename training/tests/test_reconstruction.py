@@ -57,7 +57,7 @@ def test_the_middle_of_the_shell_is_nearer_than_the_level(tmp_path, capsys):
     assert [row[1] for row in rows[:3]] == ["clean", "1 in 8", "σ 0.03"]
     for middle, level in zip(rows[:3], rows[3:], strict=True):
         accuracy, completeness = (np.float64(middle[i]) / np.float64(level[i]) for i in (2, 3))
-        assert accuracy < 0.7 and completeness < 0.7 and float(middle[5]) > float(level[5])
+        assert accuracy < 0.75 and completeness < 0.75 and float(middle[5]) > float(level[5])
 
 
 def test_poisson_reconstructs_a_sphere():

@@ -117,7 +117,7 @@ pub struct BlockActivation<'a> {
 /// to be used.
 ///
 /// # Panics
-/// If the layer is not one of [`PackedConv3d::of_blocks`] for this source, or a slice is shorter than the sizes say.
+/// If the layer is not one of [`PackedConv3d::for_blocks`] for this source, or a slice is shorter than the sizes say.
 pub fn conv3d_blocks(level: SimdLevel, conv: &BlockConv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) {
     let BlockConv3d { layer, source, .. } = conv;
     assert_eq!(layer.tile == 2, source.halves.is_some(), "upsampled blocks have tiles of 2");
@@ -378,7 +378,7 @@ mod tests {
                     (of(up).blocked(channels, volume), of(up).neighbors(u32::from(up), of(false).places()))
                 })
                 .collect();
-            let parts = PackedConv3d::of_blocks(&sources, outputs, &weight);
+            let parts = PackedConv3d::for_blocks(&sources, outputs, &weight);
             let last = parts.len() - 1;
             for level in SimdLevel::available() {
                 let mut output = vec![f32::NAN; expected.len()];

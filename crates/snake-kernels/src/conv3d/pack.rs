@@ -136,7 +136,7 @@ impl PackedConv3d {
     ///
     /// # Panics
     /// If there are fewer weights than the shape says.
-    pub fn of_blocks(sources: &[(usize, bool)], outputs: usize, weight: &[f32]) -> Vec<Self> {
+    pub fn for_blocks(sources: &[(usize, bool)], outputs: usize, weight: &[f32]) -> Vec<Self> {
         let inputs: usize = sources.iter().map(|s| s.0).sum();
         let mut before = 0;
         let mut parts = Vec::new();

@@ -37,7 +37,7 @@ impl BlockConv {
         let bias: Vec<f32> =
             bias.iter().zip(constant_outputs).map(|(&b, added)| (f64::from(b) + added) as f32).collect();
         Ok(Self {
-            parts: PackedConv3d::of_blocks(sources, outputs, &weight),
+            parts: PackedConv3d::for_blocks(sources, outputs, &weight),
             constant: bias.iter().map(|value| value.max(0.0)).collect(),
             bias,
         })
