@@ -135,6 +135,14 @@ mod tests {
     }
 
     #[test]
+    fn a_huge_page_begins_at_the_first_value_and_all_values_fit() {
+        for length in [1, 1000, HUGE_PAGE / 4, HUGE_PAGE / 4 + 1] {
+            let (values, first) = in_huge_page(length);
+            assert!(values[first..].as_ptr().addr().is_multiple_of(HUGE_PAGE) && values.len() >= first + length);
+        }
+    }
+
+    #[test]
     fn a_dropped_buffer_is_used_again_for_the_same_length() {
         let pool = BufferPool::default();
         let mut first = pool.take(3);

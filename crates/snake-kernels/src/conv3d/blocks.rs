@@ -1,4 +1,5 @@
-//! The convolution of a sparse volume: blocks of 4x4x4 voxels, one Winograd tile each.
+//! The convolution of a sparse volume: blocks of 4x4x4 voxels. A block is one Winograd tile with M = 4, or eight with M = 2 where the
+//! input is upsampled.
 //!
 //! A volume stores the differences of its voxels from a constant vector, which every voxel far from the points has. So a
 //! voxel without a block is zero, and the padding beyond the last block is exact. A layer computes
@@ -19,7 +20,7 @@ pub const BLOCK_SIDE: usize = MAX_TILE;
 /// Voxels of a block.
 pub const BLOCK_VOXELS: usize = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE;
 
-/// Values of a tile's input along each axis.
+/// Inputs of a tile with M = 4 along each axis.
 const N: usize = BLOCK_SIDE + 2;
 
 /// Blocks of an upsampled source that are multiplied together: their products stay in the second-level cache.
@@ -91,7 +92,7 @@ impl<const COUNT: usize> About<COUNT> {
 /// The arguments of [`conv3d_blocks`].
 #[derive(Debug, Clone, Copy)]
 pub struct BlockConv3d<'a> {
-    /// Weights of this input, with tiles of 4.
+    /// Weights of this input, by [`PackedConv3d::for_blocks`].
     pub layer: &'a PackedConv3d,
     /// The input volume.
     pub source: BlockSource<'a>,
@@ -154,7 +155,7 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
 }
 
 #[inline(always)]
-fn tiles_of_blocks<L: Lanes, const ROWS: usize, const N: usize>(
+fn tiles_of_blocks<L: Lanes, const ROWS: usize, const POINTS: usize>(
     token: L::Token,
     conv: &BlockConv3d,
     buffers: &mut Buffers,
@@ -164,13 +165,13 @@ fn tiles_of_blocks<L: Lanes, const ROWS: usize, const N: usize>(
     let &BlockConv3d { layer, adds, activation, .. } = conv;
     let number = output.len() / (BLOCK_VOXELS * layer.outputs);
     let gather = BlocksFrom { conv, first, number };
-    let side = tile_of(N);
+    let side = tile_of(POINTS);
     let tiles_along = BLOCK_SIDE / side;
     let num_tiles = number * tiles_along.pow(3);
-    let (products, pitch) = multiply_tiles::<L, ROWS, N>(token, layer, num_tiles, &gather, &mut buffers.values);
+    let (products, pitch) = multiply_tiles::<L, ROWS, POINTS>(token, layer, num_tiles, &gather, &mut buffers.values);
     let output_blocks = layer.outputs.div_ceil(LANES);
     let zero = L::splat(token, 0.0);
-    let mut partial = Partial::<L, N>::new(token);
+    let mut partial = Partial::<L, POINTS>::new(token);
     for tile in 0..num_tiles {
         let [block, within] = [tile / tiles_along.pow(3), tile % tiles_along.pow(3)];
         let [tile_z, tile_y, tile_x] =
@@ -189,7 +190,7 @@ fn tiles_of_blocks<L: Lanes, const ROWS: usize, const N: usize>(
             };
             for y in 0..side {
                 for x in 0..side {
-                    let mut column = [zero; N];
+                    let mut column = [zero; POINTS];
                     for (value, plane) in column.iter_mut().zip(&partial.planes) {
                         *value = plane[y][x];
                     }
@@ -273,8 +274,8 @@ impl BlocksFrom<'_> {
                             L::prefetch(values.as_ptr().wrapping_add(ahead[z]));
                             let from = starts[z];
                             *value = if lanes == LANES {
-                                // SAFETY: block 0 and those that `about` gives have values, as many as the layer has channels:
-                                // `conv3d_blocks` asserts it.
+                                // SAFETY: `about` gives blocks that have values, of as many channels as the layer reads.
+                                // `conv3d_blocks` asserts both.
                                 unsafe { load_at(token, values, from) }
                             } else {
                                 load(token, &values[from..], lanes)

@@ -279,7 +279,7 @@ fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
 ) -> (&'a [f32], usize) {
     let output_blocks = layer.outputs.div_ceil(LANES);
     let padded_tiles = num_tiles.next_multiple_of(ROWS);
-    // One cache line more than a power of two keeps the points out of the same cache sets.
+    // One cache line more keeps the points out of the same cache sets.
     let product_pitch = padded_tiles * LANES + LANES;
     let num_inputs = N * N * N * (padded_tiles * BLOCK + LANES);
     let [inputs, products] = values.parts(num_inputs, N * N * N * output_blocks * product_pitch);

@@ -120,7 +120,7 @@ pub(super) fn store_points<L: Lanes, const INPUTS: usize, const POINTS: usize>(
                 if point_z < points && point_y < points {
                     for x in 0..points {
                         let place = tile * width + ((point_z * points + point_y) * points + x) * pitch;
-                        // SAFETY: the tile and the point are none beyond the last ones, which the assertion checks.
+                        // SAFETY: `place` is at most `last`, after which the assertion finds LANES values.
                         unsafe { store_at(values[2 * tile_x + x], to, place) };
                     }
                 }
@@ -159,7 +159,7 @@ impl<L: Lanes, const N: usize> Partial<L, N> {
             for (y, along_x) in self.rows.iter_mut().enumerate() {
                 let mut products_of_row = [zero; N];
                 for (x, value) in products_of_row.iter_mut().enumerate() {
-                    // SAFETY: z, y and x are below N, so this point is none beyond the last one, which the assertion checks.
+                    // SAFETY: z, y and x are below N: the index is at most that in the assertion.
                     *value = unsafe { load_at(token, products, ((z * N + y) * N + x) * pitch) };
                 }
                 *along_x = outputs_of_axis(products_of_row);
