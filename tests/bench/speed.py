@@ -10,6 +10,8 @@ import json
 import os
 import platform
 import shutil
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
@@ -29,7 +31,6 @@ from snake_training.data import Procedural
 from snake_training.evaluate import DetectOptions, near_points, query_grid, refine, select
 from snake_training.export import write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork, voxel_index
-from snake_training.times import measured
 
 PACKAGES = ("snake-rs", "torch", "onnxruntime", "openvino", "open3d")
 STAGES = ("encode", "occupancy", "refine", "nms", "total")
@@ -237,6 +238,19 @@ def compare_threads(weights, points, options, threads, runs):
     return rows, {f"1 / {threads} threads": {stage: one[stage] / several[stage] for stage in STAGES}}
 
 
+CHILD = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 2**20)
+"""
+
+
+def peak_mib(words):
+    """The largest resident memory of a command in MiB. A small process starts it: on Linux a child begins with its parent's peak."""
+    command = [sys.executable, "-c", CHILD, *map(str, words)]
+    return float(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
+
+
 def measure_memory(weights, cloud, threads):
     """Peak MiB of `snake-cli detect` on a cloud with the network and with the built-in model; empty without it."""
     built = Path(__file__).parents[2] / "target/release/snake-cli"
@@ -244,7 +258,7 @@ def measure_memory(weights, cloud, threads):
     if binary is None:
         return {}
     detect = [binary, "detect", cloud, "--threads", str(threads)]
-    return {"the network": measured([*detect, "--model", weights])[1], "built-in model": measured(detect)[1]}
+    return {"the network": peak_mib([*detect, "--model", weights]), "built-in model": peak_mib(detect)}
 
 
 def machine():
