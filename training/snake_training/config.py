@@ -27,9 +27,6 @@ class LoopSettings:
 
     seed: int = setting(1, "seed of initial weights and samples; sample i is the same whatever the number of processes")
     bf16: bool = setting(True, "run the U-Net in bfloat16, where the GPU or processor has it; the rest stays float32")
-    tune: bool = setting(
-        False, "on a GPU, first try for seconds each what may make steps faster there, and keep what does"
-    )
     weight_occupancy: float = setting(1.0, "weight of the occupancy loss; 0 switches a loss off")
     weight_repeatability: float = setting(1.0, "weight of the repeatability loss")
     weight_surface: float = setting(1.0, "weight of the surface loss")

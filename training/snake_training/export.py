@@ -7,7 +7,6 @@ import re
 import sys
 from contextlib import contextmanager
 from pathlib import Path, PosixPath, PurePosixPath
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -129,27 +128,6 @@ def read_checkpoint(path, config=None):
 def weights_of(network):
     """The tensors of a network's weight file."""
     return network.folded() if hasattr(network, "folded") else network.state_dict()
-
-
-class Moved(NamedTuple):
-    """The weights of a run that goes on elsewhere, in float16, and the step it has reached; Adam starts again there."""
-
-    network: torch.nn.Module
-    step: int
-    NAME = "moved.safetensors"
-
-    def write(self, path):
-        """A weight file with the step in its metadata."""
-        write_weights(path, self.network.config, weights_of(self.network), torch.float16, {"step": str(self.step)})
-
-    @classmethod
-    def read(cls, path):
-        """Inverse of `write`."""
-        with safe_open(path, "pt") as file:
-            step = (file.metadata() or {}).get("step", "")
-        if not step.isdecimal():
-            raise ValueError(f"{path}: not the weights of a run that goes on")
-        return cls(load_network(path), int(step))
 
 
 def read_yaml(path):

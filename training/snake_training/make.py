@@ -6,7 +6,7 @@ from .arguments import Help, add, option, parser_of
 from .data.bodies import write_bodies
 from .data.corpus import make_corpus
 from .data.crops import write_crops
-from .data.datasets import write_carried, write_halves
+from .data.datasets import write_halves
 from .data.landmarks import write_landmarks
 from .data.sensors import write_drives, write_frames
 
@@ -45,14 +45,6 @@ KINDS = {
     "halves": (
         write_halves, "A corpus folder in three: choose/, judge/ and kinds/, the categories that take part in no choice.",
         FOLDER | {"corpus": dict(help="corpus folder")},
-    ),
-    "carried": (
-        write_carried, "Corpus folders train/ and val/ of few points a shape, to carry to a machine that is there for its GPU.",
-        FOLDER | {
-            "data": dict(help="folder to learn from"), "validation_data": dict(help="folder to choose by, such as halves/choose"),
-            "--points": option(3072, "of a shape to learn from"),
-            "--number": option(40, "of shapes to choose by"),
-        },
     ),
     "corpus": (
         make_corpus, "The corpus of the released models, from clones of its repositories, CLONES/OWNER/NAME or CLONES/NAME.",

@@ -1,9 +1,6 @@
 """The stages of recipes. Each has a name, a kind, and the settings of its kind:
 
-objects   a network of objects: init (a stage), targets (of stages), share (of the time, see `--later`; 1: all that is left), and the settings of
-          `snake_training.train`
-choice    of (stages of objects), objects: the one that repeats best at equal coverage (`snake_training.choice`); a stage that
-          begins with it has its sparsity_ridge too
+objects   a network of objects: init (a stage), targets (of stages), and the settings of `snake_training.train`
 teacher   of (stages) and the settings of `snake_training.teacher`: the targets of a student
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
@@ -16,21 +13,17 @@ figures   of (an export), objects, epsilon, rotations: its repeatability on the 
 """
 
 import dataclasses
-import json
-import shutil
 from dataclasses import dataclass, replace
 
 import torch
 from safetensors import safe_open
 
-from . import choice, confidence, evaluate
+from . import confidence, evaluate
 from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
-from .data import open_shapes
 from .data.crops import Crops, write_part
 from .data.sensors import write_drives, write_frames
-from .device import choose_device
-from .export import Moved, load_network, weights_of, write_weights
+from .export import load_network, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
 from .teacher import TeacherSettings, make_targets, scales_of
@@ -81,58 +74,31 @@ class ObjectStage(Stage):
     SETTINGS = TrainConfig
     init: str = ""
     targets: tuple = ()
-    share: float = (
-        0.0  # with `later`: of the minutes of both calls, 1: of all that are left; else it ends with its steps
-    )
     given: tuple = ()  # which settings of the network's shape stand in the recipe
 
     @classmethod
     def read(cls, table):
-        own = {"name", "init", "targets", "share"}
+        own = {"name", "init", "targets"}
         settings = {key: value for key, value in table.items() if key not in own}
         of_the_run = {"run_dir", "data", "split", "validation_data", "validation_split"} & set(settings)
         if of_the_run:
             raise ValueError(f"unknown setting {min(of_the_run)!r}: the command line says where data and runs are")
         config = from_table(TrainConfig, settings)
         stage = from_table(cls, {key: table[key] for key in own & set(table)})
-        if not 0 <= stage.share <= 1:
-            raise ValueError(f"share must be within [0, 1], got {stage.share}")
         # The start file is written by an earlier stage, so only check that one is named.
         check(replace(config, init=stage.init))
         return replace(stage, settings=config, given=tuple(name for name in NETWORK_SHAPE if name in settings))
 
     def run(self, recipe, folder):
         """Trains, from the checkpoint if there is one."""
-        moved = folder / Moved.NAME
-        init = moved if moved.exists() else recipe.weights(self.init) if self.init else ""
+        init = recipe.weights(self.init) if self.init else ""
         config = replace(
             self.settings, run_dir=str(folder), data=recipe.data, validation_data=recipe.validation_data, init=str(init),
             targets=tuple(str(recipe.run_dir / name / "targets.safetensors") for name in self.targets),
         )  # fmt: skip
-        if isinstance(recipe.stages.get(self.init), ChoiceStage):
-            config = replace(config, sparsity_ridge=recipe.chosen(self.init).settings.sparsity_ridge)
         given = {*self.given, "resolution"} if recipe.smoke else set(self.given)
         config = replace(config, **SMOKE_OBJECTS) if recipe.smoke else config
-        recipe.train(Objects(check(with_start(config, given))), folder, self.share)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChoiceStage(Stage):
-    """The best of several networks of objects."""
-
-    USES = ("of",)
-    of: tuple
-    objects: int = 24
-
-    def run(self, recipe, folder):
-        """The weights of the best; its name and the figures of all stand in done.json, which moves with them."""
-        device, objects = choose_device(recipe.device), 1 if recipe.smoke else self.objects
-        shapes = open_shapes(recipe.shapes(folder))
-        judged = {name: choice.judge(load_network(recipe.weights(name), device), shapes, objects) for name in self.of}
-        best = max(judged, key=lambda name: judged[name]["score"])
-        shutil.copyfile(recipe.weights(best), folder / "weights.safetensors")
-        recipe.log(json.dumps(report := {"best": best, "judged": judged}))
-        return report
+        recipe.train(Objects(check(with_start(config, given))), folder)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,6 +257,6 @@ class FigureStage(Stage):
 
 
 KINDS = {
-    "objects": ObjectStage, "choice": ChoiceStage, "teacher": TeacherStage, "crops": CropStage, "scenes": SceneStage, "export": ExportStage,
+    "objects": ObjectStage, "teacher": TeacherStage, "crops": CropStage, "scenes": SceneStage, "export": ExportStage,
     "frames": FrameStage, "drives": DriveStage, "confidence": ConfidenceStage, "figures": FigureStage,
 }  # fmt: skip

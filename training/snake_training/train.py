@@ -24,11 +24,10 @@ from .command_line import parse_arguments
 from .config import to_json
 from .data import CloudError
 from .device import choose_device, has_fast_unet, why_no_bfloat16
-from .export import Moved, config_of, network_of, read_state, replacing
+from .export import config_of, network_of, read_state, replacing
 from .losses import loss_options, losses_of
 from .scene_model import SceneNetwork
 from .tasks.objects import Objects
-from .tuning import Tuner
 
 DESCRIPTION = """Train a SNAKE keypoint field without labels. Running the same command again resumes the run from its last
 checkpoint. Ctrl-C, SIGTERM and SIGUSR1 end the run with a checkpoint after its step. With torchrun, samples are shared out
@@ -57,15 +56,12 @@ def batches(task, first, last, rank, world, workers, pinned=False):
     )
 
 
-def learning_rate(settings, step, began=0, spent=0.0):
-    """Cosine to zero, or a tenth after a share of the steps; linear warm-up from the step where Adam began.
-
-    The cosine falls by the steps, or by the share of the time that is `spent` where that is further.
-    """
-    rising = min((step - began + 1) / settings.warmup, 1.0) if settings.warmup else 1.0
+def learning_rate(settings, step):
+    """Cosine to zero, or a tenth after a share of the steps; linear warm-up."""
+    rising = min((step + 1) / settings.warmup, 1.0) if settings.warmup else 1.0
     if settings.schedule == "step":
         return settings.learning_rate * rising * (0.1 if step >= settings.steps * settings.drop_after else 1.0)
-    progress = max((step - settings.warmup) / max(settings.steps - settings.warmup, 1), spent)
+    progress = (step - settings.warmup) / max(settings.steps - settings.warmup, 1)
     return settings.learning_rate * rising * 0.5 * (1 + math.cos(math.pi * min(max(progress, 0.0), 1.0)))
 
 
@@ -148,25 +144,17 @@ def interruption():
 
 
 class State:
-    """What a run has reached: step, share of its time that is spent, network, averaged weights, Adam and since which step it
-    runs, best score."""
+    """What a run has reached: step, network, averaged weights, Adam, best score."""
 
     def __init__(self, task, folder, device):
         self.task, self.folder = task, folder
         torch.manual_seed(task.settings.seed)
-        self.step = self.began = 0
-        self.spent, self.best = 0.0, -math.inf
-        last, moved = folder / "last.pt", folder / Moved.NAME
+        self.step, self.best = 0, -math.inf
+        last = folder / "last.pt"
         state = read_state(last) if last.exists() else None
-        if state:
-            network = network_of(config_of(state["network_config"]))
-        elif moved.exists():
-            network, self.step = Moved.read(moved)
-            self.began = self.step
-        else:
-            network = task.network()
+        network = network_of(config_of(state["network_config"])) if state else task.network()
         if network.config != task.network_config:
-            raise ValueError(f"{last if state else moved} holds another network; give another run folder")
+            raise ValueError(f"{last} holds another network; give another run folder")
         self.network = network.to(device).train()
         self.average = copy.deepcopy(network).requires_grad_(False)
         self.optimizer = make_optimizer(network, task.settings)
@@ -174,32 +162,29 @@ class State:
             self.network.load_state_dict(state["network"])
             self.average.load_state_dict(state["ema"])
             self.optimizer.load_state_dict(state["optimizer"])
-            self.step, self.began, self.best = state["step"], state["began"], state["best"]
-            self.spent = state.get("spent", 0.0)  # older checkpoints have none
+            self.step, self.best = state["step"], state["best"]
 
     def save(self, name):
         """Everything that continues the run bit for bit; temporary name, then rename."""
         state = {
             "settings": to_json(self.task.settings), "network_config": self.network.config.to_metadata(),
-            "step": self.step, "spent": self.spent, "began": self.began, "best": self.best, "network": self.network.state_dict(),
-            "ema": self.average.state_dict(), "optimizer": self.optimizer.state_dict(),
+            "step": self.step, "best": self.best, "network": self.network.state_dict(), "ema": self.average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
         }  # fmt: skip
         with replacing(self.folder / name) as temporary:
             torch.save(state, temporary)
 
 
-def run(task, folder, device="auto", minutes=0.0, workers=0, later=None):
+def run(task, folder, device="auto", minutes=0.0, workers=0):
     """Trains to the last step of the settings; returns whether it was reached. Otherwise so many `minutes` are spent.
 
-    `later` says that a later call has so many minutes more, and no other follows: the learning rate falls to 0 by the time that is
-    left in both, each call ends with a validation, and where it is 0 the end of the minutes is that of the run. The folder gets the settings, checkpoints and logs; a run that it holds goes on, from its checkpoint or from moved weights.
-    `workers` processes draw the batches ahead. Ctrl-C is a SystemExit after a checkpoint.
+    The folder gets the settings, checkpoints and logs; a run that it holds goes on from its checkpoint. `workers` processes draw the batches ahead. Ctrl-C is a SystemExit after a checkpoint.
     """
     with interruption() as pressed:
-        return run_until(task, Path(folder), device, minutes, workers, later, pressed)
+        return run_until(task, Path(folder), device, minutes, workers, pressed)
 
 
-def run_until(task, folder, device, minutes, workers, later, pressed):
+def run_until(task, folder, device, minutes, workers, pressed):
     """The loop of `run`, until the event `pressed` is set."""
     started = saved = time.monotonic()
     settings = task.settings
@@ -215,7 +200,6 @@ def run_until(task, folder, device, minutes, workers, later, pressed):
     if settings.bf16 and not autocast and rank == 0:
         print(f"the U-Net runs in float32: {why_no_bfloat16(device)}", file=sys.stderr)
     model = DistributedDataParallel(state.network) if world > 1 else state.network
-    tuner = Tuner(state.network, settings.batch, autocast, folder) if settings.tune and device.type == "cuda" else None
 
     log = None
     if rank == 0:
@@ -226,10 +210,10 @@ def run_until(task, folder, device, minutes, workers, later, pressed):
         total=settings.steps, initial=state.step, disable=rank != 0, unit="step",
         mininterval=2 if sys.stderr.isatty() else 60,
     )  # fmt: skip
-    running, spent, spent_before = {}, False, state.spent
+    running, spent = {}, False
     for batch in batches(task, state.step, settings.steps, rank, world, workers, device.type == "cuda"):
         for group in state.optimizer.param_groups:
-            group["lr"] = learning_rate(settings, state.step, state.began, state.spent)
+            group["lr"] = learning_rate(settings, state.step)
         batch = task.ready({name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()})
         losses, saturated = losses_of(*task.answer(model, batch, autocast), batch, world, **loss_options(settings))
         state.optimizer.zero_grad()
@@ -243,10 +227,7 @@ def run_until(task, folder, device, minutes, workers, later, pressed):
         bar.update()
         measured = losses | {"saturated": saturated, "gradient_norm": norm}
         values = torch.stack([value.detach() for value in measured.values()])
-        passed = (time.monotonic() - started) / 60
-        spent = minutes > 0 and passed >= minutes
-        if later is not None:
-            state.spent = spent_before + (1 - spent_before) * min(passed / (minutes + later), 1.0)
+        spent = 0 < minutes <= (time.monotonic() - started) / 60
         stop = torch.tensor([spent, pressed.is_set()])
         if world > 1:
             dist.all_reduce(values)
@@ -259,7 +240,7 @@ def run_until(task, folder, device, minutes, workers, later, pressed):
             if state.step % 20 == 0 or finished:
                 bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
                 write_scalars(log, "train", running, state.step)
-            if state.step % settings.validate_every == 0 or (finished and (later is not None or not spent)):
+            if state.step % settings.validate_every == 0 or (finished and not spent):
                 validate(state, device, autocast, log)
             if finished or interrupted or time.monotonic() - saved > 60 * CHECKPOINT_MINUTES:
                 state.save("last.pt")
@@ -270,14 +251,12 @@ def run_until(task, folder, device, minutes, workers, later, pressed):
             )
         if spent:
             break
-        if tuner:
-            tuner.step(time.monotonic())
     bar.close()
     if log:
         log.close()
     if world > 1:
         dist.destroy_process_group()
-    return not spent or later == 0
+    return not spent
 
 
 def validate(state, device, autocast, log):

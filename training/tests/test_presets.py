@@ -133,7 +133,7 @@ def test_given_metadata_overrides_the_preset(tmp_path, official):
 def checkpoint(config, network):
     """The checkpoint of a run of these settings, without Adam."""
     own = {"settings": to_json(config), "network_config": network.config.to_metadata()}
-    return own | {"step": 1, "began": 0, "best": 0.0, "ema": network.state_dict()}
+    return own | {"step": 1, "best": 0.0, "ema": network.state_dict()}
 
 
 def test_a_fine_tuned_export_keeps_the_options_of_its_start(tmp_path, tiny, network):

@@ -22,8 +22,6 @@ COMMANDS = [
 ]
 # Options that make a command of the page small, by its module; the later ones override the page's own.
 SMALL = {
-    "snake_training.curve": ["--num-points", "100", "--limit", "1"],
-    "snake_training.times": ["--points", "100", "--steps", "0", "1", "--limit", "1"],
     "snake_training.reconstruction": ["--resolution", "16", "--limit", "1"],
 }
 
@@ -50,7 +48,6 @@ def test_a_command_of_the_page_runs(folder, snake_cli, command, monkeypatch, cap
         words += ["--smoke", "--seeds", "1", "--device", "cpu", "--snake-cli", snake_cli.path]
     monkeypatch.chdir(folder)
     words += SMALL.get(words[2], [])
-    monkeypatch.setenv("SNAKE_CLI", snake_cli.path)
     monkeypatch.setattr(sys, "argv", ["python", *map(str, words[3:])])
     # In this process: to import PyTorch takes longer than a command.
     runpy.run_module(words[2], run_name="__main__")

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from snake_training.config import from_json
 from snake_training.data import Mixture, Procedural
 from snake_training.data.landmarks import landmarks
 from snake_training.evaluate import DetectOptions, why_none
-from snake_training.export import Moved, load_network, read_checkpoint, write_weights
+from snake_training.export import load_network, read_checkpoint, write_weights
 from snake_training.losses import LOSSES, losses_of
 from snake_training.model import SnakeNetwork
 from snake_training.tasks import objects
@@ -95,8 +94,6 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
         "settings",
         "network_config",
         "step",
-        "spent",
-        "began",
         "best",
         "network",
         "ema",
@@ -157,23 +154,6 @@ def test_resuming_continues_bit_for_bit(tiny, tmp_path):
     ]
     assert differing == ["/settings", "/best"] or differing == ["/settings"]  # the run folder; validated more often
     assert sum("/exp_avg" in path for path in expected) > 100
-
-
-def test_the_rate_falls_by_time_over_two_calls_bit_for_bit(tiny, tmp_path, monkeypatch):
-    """A clock that ticks once a step: eight ticks at once, and four with four to come later."""
-    rates, rate = [], training.learning_rate
-    monkeypatch.setattr(training, "time", SimpleNamespace(monotonic=lambda: float(len(rates))))
-    monkeypatch.setattr(training, "learning_rate", lambda *given: rates.append(rate(*given)) or rates[-1])
-    config = tiny(steps=1000, learning_rate=0.01, optimizer="adam", weight_decay=0.0)
-    assert training.run(Objects(config), tmp_path / "whole", "cpu", 8 / 60, later=0)
-    whole, rates[:] = list(rates), []
-    assert not training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=4 / 60)
-    assert training.run(Objects(config), tmp_path / "parts", "cpu", 4 / 60, later=0)
-    assert rates == whole and len(rates) == 8
-    assert rates == pytest.approx([0.005 * (1 + math.cos(math.pi * step / 8)) for step in range(8)])
-    one, two = (torch.load(tmp_path / name / "last.pt", weights_only=True) for name in ("whole", "parts"))
-    assert (one["step"], one["spent"]) == (two["step"], two["spent"]) == (8, 1.0)
-    assert all(torch.equal(tensor, two["network"][name]) for name, tensor in one["network"].items())
 
 
 def test_a_finished_run_is_left_as_it_is_and_another_network_is_refused(tiny):
@@ -430,22 +410,6 @@ def test_dead_layers_are_counted(network):
             parameter.data.zero_()
     zeroed = sum(p.dim() >= 2 for p in network.encoder.blocks.parameters())
     assert dead_share(network) == zeroed / sum(p.dim() >= 2 for p in network.parameters())
-
-
-def test_adam_begins_again_where_weights_alone_were_moved(tiny, tmp_path):
-    """The step and the weights move; the rate warms up anew."""
-    config = tiny(steps=4, schedule="cosine")
-    train(config, "cpu", minutes=1e-9)
-    there = dataclasses.replace(config, run_dir=str(tmp_path / "there"))
-    Path(there.run_dir).mkdir()
-    Moved(load_network(Path(config.run_dir) / "last.pt"), 1).write(Path(there.run_dir) / Moved.NAME)
-    train(there, "cpu", minutes=1e-9)
-    moved = state(there)
-    assert (moved["step"], moved["began"]) == (2, 1)
-    before, after = state(config)["ema"], moved["network"]
-    assert all(torch.allclose(after[name], tensor, atol=0.01) for name, tensor in before.items())
-    warm = dataclasses.replace(config, warmup=10, steps=100)
-    assert learning_rate(warm, 50, began=50) == pytest.approx(learning_rate(warm, 50) / 10)
 
 
 def test_weights_without_gradient_are_not_decayed(network, tiny):

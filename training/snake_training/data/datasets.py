@@ -243,17 +243,6 @@ def write_corpus(folder, shapes, points=8192):
     (folder / "index.json").write_text(json.dumps([{"name": f"shape-{row}"} for row in range(len(shapes))]))
 
 
-def write_carried(folder, data, validation_data, points=3072, number=40):
-    """Corpus folders `train`, of so many points a shape, and `val`, a number of shapes evenly spaced, to carry to another machine;
-    returns their size as a line."""
-    held_out = open_shapes(validation_data)
-    rows = np.linspace(0, len(held_out) - 1, min(number, len(held_out))).round().astype(int)
-    write_corpus(Path(folder) / "train", open_shapes(data), points)
-    write_corpus(Path(folder) / "val", [held_out[row] for row in rows])
-    size = sum(path.stat().st_size for path in Path(folder).rglob("*.*") if path.is_file())
-    return [f"{folder}: {size / 1e6:.1f} MB"]
-
-
 def write_halves(folder, corpus):
     """Three corpus folders from one, by the order of its rows; returns the numbers of their objects as a line.
 
