@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="pip install ./training")
 
 from snake_training.data import Procedural
-from snake_training.evaluate import DetectOptions
+from snake_training.detection import DetectOptions
 from snake_training.model import NetworkConfig
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))

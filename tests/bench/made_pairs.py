@@ -2,7 +2,7 @@
 
     python tests/bench/made_pairs.py FOLDER --sweeps 8
 
-writes pairs of sweeps in metres with their transforms, for `snake-cli eval repeatability FOLDER`.
+writes pairs of sweeps in metres with their transforms, for `snake_training.evaluation repeatability`.
 """
 
 import argparse

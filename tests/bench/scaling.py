@@ -14,7 +14,7 @@ from speed import STAGES, alternate, machine, run_snake_rs, seeded_network
 
 from snake_training.arguments import option, parser_of
 from snake_training.data import Procedural
-from snake_training.evaluate import DetectOptions
+from snake_training.detection import DetectOptions
 from snake_training.export import write_weights
 from snake_training.model import NetworkConfig
 

@@ -1,20 +1,14 @@
-"""Plain PyTorch detection (SNAKE Algorithm 1) and relative repeatability (`python -m snake_training.evaluate --help`).
+"""Plain PyTorch detection (SNAKE Algorithm 1).
 
 The reference that the Rust implementation is compared with: one volume a cloud, every step written as the paper has it.
 """
 
-import json
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from tqdm import tqdm
 
-from .arguments import DATA, option, parser_of
-from .augment import choose, normalize, random_rotation
-from .data import open_shapes
-from .export import load_network
+from .augment import normalize
 from .model import voxel_index
 
 CHOICES = {
@@ -168,116 +162,3 @@ def why_none(network, points, options=DetectOptions()):
             "not help; learn the surface first, with the weights of the other losses 0, then start from it with fresh_saliency"
         )
     return f"the saliency is at most {on.max():.2f} on the surface, the threshold is {options.saliency_threshold}"
-
-
-def relative_repeatability(keypoints_1, keypoints_2, rotation_1_2, epsilon):
-    """Share of view 1's keypoints with one of view 2's, brought to view 1 by the rotation, closer than epsilon."""
-    if len(keypoints_1) == 0 or len(keypoints_2) == 0:
-        return np.zeros(len(epsilon))
-    moved = keypoints_2[:, :3] @ rotation_1_2.T
-    nearest = np.linalg.norm(keypoints_1[:, None, :3] - moved[None], axis=2).min(axis=1)
-    return (nearest[:, None] < np.asarray(epsilon)).mean(axis=0)
-
-
-def view_pairs(shapes, number, num_points, seed):
-    """Pairs of an evaluation: (cloud, rotated cloud, rotation of view 2 back to view 1), seeded by row.
-
-    Clouds are scaled to radius 1 about their mean, the unit of the paper's ModelNet40 figures.
-    """
-    for row in np.linspace(0, len(shapes) - 1, min(number, len(shapes))).round().astype(int):
-        rng = np.random.default_rng([seed, row])
-        cloud = shapes[row]
-        cloud = cloud / (normalize(cloud)[2] / 2)
-        rotation = random_rotation(rng)
-        yield choose(rng, cloud, num_points), choose(rng, cloud, num_points) @ rotation.T, rotation.T
-
-
-def repeatability(detector, shapes, number=10**9, num_points=5000, seed=0, epsilon=(0.04,), progress=False):
-    """Mean relative repeatability over pairs of views, for a detector points -> {name: keypoints (K, >= 3)}.
-
-    Returns {name: (values by epsilon, mean number of keypoints)}.
-    """
-    if number < 1:
-        raise ValueError(f"repeatability needs at least one object, got {number}")
-    pairs = tqdm(view_pairs(shapes, number, num_points, seed), total=min(number, len(shapes)), disable=not progress)
-    values, counts = {}, {}
-    for cloud_1, cloud_2, rotation_1_2 in pairs:
-        found_1, found_2 = detector(cloud_1), detector(cloud_2)
-        for name in found_1:
-            value = relative_repeatability(found_1[name], found_2[name], rotation_1_2, epsilon)
-            values.setdefault(name, []).append(value)
-            counts.setdefault(name, []).append(len(found_1[name]))
-    return {name: (np.mean(values[name], axis=0), float(np.mean(counts[name]))) for name in values}
-
-
-def detector(engine, weights, options, device="cpu", rotations=1):
-    """points (N, 3) -> keypoints (K, >= 3), by the PyTorch detection of this file or by snake-rs.
-
-    Only snake-rs averages over `rotations` of the input, and detects with the options of the weights (`options` None).
-    """
-    if engine == "snake-rs":
-        import snake_rs
-
-        model = snake_rs.Model.load(weights)
-        given = {} if options is None else vars(options) | {"rotations": rotations}
-        return lambda points: snake_rs.detect(points, model, **given).points
-    if rotations > 1 or options is None:
-        raise ValueError("--rotations and --recommended need --engine snake-rs")
-    network = load_network(weights, device)
-    return lambda points: detect(network, points, options)
-
-
-def figures(
-    weights, data, objects=10**9, num_points=5000, epsilon=(0.02, 0.04, 0.06, 0.10), seed=0, engine="torch", rotations=1,
-    options=None, device="cpu",
-):  # fmt: skip
-    """The relative repeatability of a weight file on a folder of shapes: {"repeatability": by epsilon, "keypoints", "options"}.
-
-    Without `options` those that the weights recommend, by snake-rs.
-    """
-    find = detector(engine, weights, options, device, rotations)
-    measured = repeatability(
-        lambda points: {"snake": find(points)}, open_shapes(data), objects, num_points, seed, epsilon, progress=True
-    )
-    values, count = measured["snake"]
-    by_epsilon = {f"{e:g}": round(float(v), 4) for e, v in zip(epsilon, values)}
-    return {"repeatability": by_epsilon, "keypoints": round(count, 1), "options": options and vars(options)}
-
-
-def main(argv=None):
-    """Prints the repeatability of a weight file on a folder of shapes."""
-    arguments = {
-        "weights": dict(help="safetensors export or checkpoint"),
-        "--objects": option(10**9, "evaluate this many, evenly spaced"),
-        "--num-points": option(5000, "points of each view"),
-        "--epsilon": option([0.02, 0.04, 0.06, 0.10], "unit-sphere units", float, nargs="+"),
-        "--seed": option(0, "seed of rotations and point choices"),
-        "--engine": option("torch", "which implementation detects", choices=("torch", "snake-rs")),
-        "--rotations": option(1, "turned copies averaged (snake-rs only)"),
-        "--recommended": dict(
-            action="store_true", help="detect with the options of the weights, not those below (snake-rs only)"
-        ),
-        "--device": option("cpu", "torch device, for instance cuda"),
-        "--threads": option(0, "torch threads; 0: torch's default"),
-    }
-    about = "Relative repeatability: 5000 points, second view rotated at random, top 64 keypoints."
-    parser = parser_of("evaluate", about, arguments | DATA)
-    for name, field in DetectOptions.__dataclass_fields__.items():
-        words = option(field.default, "of detection", field.type, choices=CHOICES.get(name))
-        parser.add_argument("--" + name.replace("_", "-"), **words)
-    arguments = parser.parse_args(argv)
-    if arguments.threads:
-        torch.set_num_threads(arguments.threads)
-    try:
-        options = DetectOptions(**{name: getattr(arguments, name) for name in DetectOptions.__dataclass_fields__})
-        result = figures(
-            arguments.weights, arguments.data, arguments.objects, arguments.num_points, arguments.epsilon, arguments.seed,
-            arguments.engine, arguments.rotations, None if arguments.recommended else options, arguments.device,
-        )  # fmt: skip
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    print(json.dumps(result))
-
-
-if __name__ == "__main__":
-    main()

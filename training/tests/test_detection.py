@@ -1,106 +1,19 @@
-"""Detection, suppression and repeatability against values worked out by hand."""
-
-import json
+"""Detection and suppression against values worked out by hand."""
 
 import numpy as np
 import pytest
 import torch
 
 from snake_training.augment import normalize
-from snake_training.data import Procedural
-from snake_training.evaluate import (
+from snake_training.detection import (
     DetectOptions,
     candidates,
     detect,
-    main,
     query_grid,
     refine,
-    relative_repeatability,
-    repeatability,
     suppress,
-    view_pairs,
 )
-from snake_training.export import write_weights
 from snake_training.model import NetworkConfig
-
-QUARTER_TURN = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])  # about z
-
-
-# Repeatability
-
-
-def test_repeatability_is_the_share_of_first_view_keypoints_strictly_within_epsilon():
-    first = np.array([[0.0, 0, 0], [1, 0, 0], [5, 0, 0], [9, 9, 9]])
-    second = np.array([[0.25, 0, 0], [1, 0.5, 0]])
-    values = relative_repeatability(first, second, np.eye(3), [0.25, 0.26, 0.5, 0.51, 100])
-    assert values.tolist() == [0, 0.25, 0.25, 0.5, 1]
-
-
-def test_repeatability_is_one_directional_and_not_one_to_one():
-    first, second = np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.array([[0.05, 0, 0], [3, 0, 0], [4, 0, 0]])
-    assert relative_repeatability(first, second, np.eye(3), [0.06]).tolist() == [1]
-    assert relative_repeatability(second, first, np.eye(3), [0.06]) == pytest.approx([1 / 3])
-
-
-def test_repeatability_brings_the_second_view_back():
-    first = np.array([[0.0, 1, 0], [1, 0, 2]])
-    second = first @ QUARTER_TURN.T  # rotated cloud
-    assert relative_repeatability(first, second, QUARTER_TURN.T, [1e-6]).tolist() == [1]
-    assert relative_repeatability(first, second, QUARTER_TURN, [1e-6]).tolist() == [0]
-    scored = np.concatenate([first, [[0.9], [0.8]]], axis=1)  # the fourth column is a score
-    assert relative_repeatability(scored, second, QUARTER_TURN.T, [1e-6]).tolist() == [1]
-
-
-@pytest.mark.parametrize(("one", "other"), [(0, 2), (2, 0), (0, 0)])
-def test_repeatability_without_keypoints_is_zero(one, other):
-    assert relative_repeatability(np.zeros((one, 4)), np.zeros((other, 4)), np.eye(3), [1, 2]).tolist() == [0, 0]
-
-
-def test_view_pairs_are_the_same_points_and_come_back_by_the_rotation():
-    shapes = Procedural(length=4, points=300)
-    pairs = list(view_pairs(shapes, 4, 300, seed=0))
-    assert len(pairs) == 4
-    for row, (first, second, rotation) in enumerate(pairs):
-        assert np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
-        assert not np.allclose(rotation, np.eye(3), atol=0.05)
-        back = second @ rotation.T
-        distance = np.linalg.norm(first[:, None] - back[None], axis=2).min(axis=1)
-        assert distance.max() < 1e-5
-        # The unit of epsilon and of the suppression radius: the cloud has radius 1 about its mean.
-        assert np.linalg.norm(first - first.mean(axis=0), axis=1).max() == pytest.approx(1, abs=1e-5)
-        original = np.sort(shapes[row], axis=0)  # scaled, nothing else
-        factor = np.ptp(first, axis=0) / np.ptp(original, axis=0)
-        assert np.allclose(factor, factor[0], rtol=1e-5)
-        assert np.allclose(np.sort(first, axis=0), factor[0] * original, atol=1e-5)
-
-
-def test_view_pairs_are_seeded_by_row_and_evenly_spaced():
-    shapes = Procedural(length=9, points=50)
-    few = list(view_pairs(shapes, 3, 20, seed=0))
-    every = list(view_pairs(shapes, 100, 20, seed=0))
-    assert len(few) == 3 and len(every) == 9
-    for index, row in enumerate((0, 4, 8)):
-        assert all(np.array_equal(a, b) for a, b in zip(few[index], every[row]))
-    other = next(view_pairs(shapes, 3, 20, seed=1))
-    assert not np.array_equal(few[0][2], other[2])
-
-
-def test_repeatability_is_the_mean_over_pairs_and_counts_the_first_view():
-    """A detector of fixed input points repeats exactly; one that finds nothing on every other call, never."""
-    shapes, calls = Procedural(length=3, points=100), []
-
-    def detector(points):
-        calls.append(len(points))
-        farthest = np.linalg.norm(points, axis=1).argsort(kind="stable")[-5:]
-        return {"extreme": points[farthest], "once": points[farthest] if len(calls) % 2 else points[:0]}
-
-    result = repeatability(detector, shapes, num_points=100, epsilon=(1e-4, 10))
-    assert calls == [100] * 6
-    assert result["extreme"][0].tolist() == [1, 1] and result["extreme"][1] == 5
-    assert result["once"][0].tolist() == [0, 0] and result["once"][1] == 5
-    with pytest.raises(ValueError, match="at least one object"):
-        repeatability(detector, shapes, number=0)
-
 
 # Suppression
 
@@ -263,41 +176,3 @@ def test_candidates_on_the_gpu_are_those_on_the_processor(network):
     expected = candidates(network, CLOUD, options)
     found = candidates(network.cuda(), CLOUD, options)
     assert found.device.type == "cpu" and torch.allclose(found[:, 3], expected[:, 3], atol=1e-4)
-
-
-def test_command_line(tmp_path, network, capsys):
-    weights = tmp_path / "weights.safetensors"
-    write_weights(weights, network.config, network.state_dict())
-    (tmp_path / "shapes").mkdir()
-    for row in range(2):
-        np.save(tmp_path / "shapes" / f"{row}.npy", Procedural(points=200)[row])
-    few = ["--query-resolution", "6", "--refine-steps", "1", "--num-points", "100", "--saliency-threshold", "0"]
-    few += ["--surface-threshold", "0", "--occupancy-threshold", "0", "--max-keypoints", "9", "--nms-radius", "0.1"]
-    main([str(weights), str(tmp_path / "shapes"), *few, "--epsilon", "0.04", "100"])
-    report = json.loads(capsys.readouterr().out)
-    assert report["repeatability"]["100"] == 1 and 0 <= report["repeatability"]["0.04"] < 1
-    assert report["keypoints"] == 9 and report["options"]["query_resolution"] == 6
-    for words in ([str(weights), str(tmp_path / "absent")], [str(tmp_path / "absent.pt"), str(tmp_path / "shapes")]):
-        with pytest.raises(SystemExit) as stop:
-            main(words)
-        assert stop.value.code == 2 and "absent" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main([str(weights), str(tmp_path / "shapes"), "--selection", "worst"])
-
-
-def test_the_options_of_the_weights_are_those_of_snake_rs(tmp_path, network, capsys):
-    """With --recommended, a file's own suppression decides how many keypoints there are."""
-    np.save(tmp_path / "cloud.npy", np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32))
-    counts = {}
-    for radius in ("0.2", "2.0"):
-        thresholds = '"occupancy_threshold":0,"surface_threshold":0,"saliency_threshold":0,"refine_steps":0'
-        options = f'{{"detect":{{{thresholds},"query_resolution":8,"nms_radius":{radius}}}}}'
-        write_weights(
-            tmp_path / "w.safetensors", network.config, network.state_dict(), extra={"recommended_options": options}
-        )
-        main([str(tmp_path / "w.safetensors"), str(tmp_path), "--engine", "snake-rs", "--recommended"])
-        counts[radius] = json.loads(capsys.readouterr().out)["keypoints"]
-    assert counts["0.2"] > counts["2.0"] >= 1
-    with pytest.raises(SystemExit):
-        main([str(tmp_path / "w.safetensors"), str(tmp_path), "--recommended"])
-    assert "need --engine snake-rs" in capsys.readouterr().err
