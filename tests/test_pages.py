@@ -159,7 +159,7 @@ def test_target_exists(command):
 def help_of(program: str, *kind: str) -> str:
     """The help of a module or of the script of a path, in this process: each process would import PyTorch again.
 
-    kind: of the data that `snake_training.make` makes.
+    kind: of the data that `snake_training.make` makes, or of an evaluation.
     """
     run = runpy.run_path if program.endswith(".py") else runpy.run_module
     with (
@@ -184,7 +184,7 @@ def test_options_of_python_exist(command):
         found = [folder / words[1] for folder in (ROOT, ROOT / "training") if (folder / words[1]).is_file()]
         assert found, f"{words[1]} is not in the repository"
         program = str(found[0])
-    kind = words[3:4] if program == "snake_training.make" else []
+    kind = words[3:4] if program in ("snake_training.make", "snake_training.evaluation") else []
     assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program, *kind)]), unknown
 
 
@@ -199,7 +199,7 @@ def test_no_kind_of_block_is_left_out():
     assert languages <= {"sh", "python", "toml", "rust", "cpp", "c", "text"}
 
 
-TRAINING = ("train", "teacher", "evaluate", "recipes", "export", "confidence", "paper")
+TRAINING = ("train", "teacher", "recipes", "export", "confidence", "paper")
 
 
 @cache
@@ -207,9 +207,9 @@ def known_options(compiled) -> set[str]:
     """The long options of all commands: snake-cli, its sub-commands, and the modules of training."""
     helps = [
         subprocess.run([compiled / "snake-cli", *words, "--help"], capture_output=True, text=True, check=True).stdout
-        for words in (["detect"], ["register"], ["align"], ["reconstruct"], ["field"], ["view"], ["eval", "repeatability"],
-                      ["eval", "semantic"], ["eval", "registration"])
+        for words in (["detect"], ["register"], ["align"], ["reconstruct"], ["field"], ["view"])
     ]  # fmt: skip
+    helps += [help_of("snake_training.evaluation", kind) for kind in ("repeatability", "semantic", "registration")]
     helps += [help_of(f"snake_training.{name}") for name in TRAINING]
     return set(re.findall(r"(?<![\w-])--[a-z][\w-]*", "\n".join(helps)))
 
