@@ -138,10 +138,7 @@ pub fn align_with(
 /// Refuses too few or too many clouds.
 fn check_count(count: usize) -> Result<()> {
     if !(2..=MAX_CLOUDS).contains(&count) {
-        return Err(Error::Input {
-            what: "clouds",
-            reason: format!("{count} of them; needed are 2 to {}", MAX_CLOUDS),
-        });
+        return Err(Error::Input { what: "clouds", reason: format!("{count} of them; needed are 2 to {MAX_CLOUDS}") });
     }
     Ok(())
 }
