@@ -91,7 +91,7 @@ pub enum Command {
   snake-cli detect part.stl --sample 20000 -o keypoints.ply
   snake-cli detect room.pcd -o keypoints.ply --voxel-size 0.04 --set snap=true
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
-  snake-cli detect city.laz --tile 50 -o keypoints.parquet
+  snake-cli detect city.laz --tile 50 -o keypoints.laz
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
     /// Evaluate keypoints on a data set and compare them with classical detectors.
@@ -177,12 +177,5 @@ pub enum Command {
     Completions {
         /// The shell.
         shell: Shell,
-    },
-    /// Write the manual pages of snake-cli and of its sub-commands to a folder.
-    #[command(after_help = "Examples:
-  snake-cli manual ~/.local/share/man/man1")]
-    Manual {
-        /// The folder; it is made if it does not exist.
-        folder: PathBuf,
     },
 }

@@ -8,7 +8,6 @@ mod config;
 mod detect;
 mod disturb;
 mod eval;
-mod features;
 mod field;
 mod flags;
 mod inputs;
@@ -82,7 +81,6 @@ fn run_command(command: &Command) -> Result<u8> {
         Command::Options => set::list()?,
         Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
         Command::Completions { shell } => completions::print(*shell)?,
-        Command::Manual { folder } => completions::write_manual(folder)?,
     }
     Ok(SUCCESS)
 }

@@ -36,7 +36,6 @@
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
 //! | `las`, `laz`, `e57` | coordinates | | only `laz`, with extra dimensions |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
-//! | `parquet` (feature `parquet`) | | | columns as in csv and a geometry, GeoParquet 1.1 |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
 //! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
@@ -61,9 +60,7 @@ mod clouds;
 mod crs;
 mod error;
 mod formats;
-#[cfg(feature = "laz")]
 mod las;
-#[cfg(feature = "mcap")]
 mod logs;
 mod poses;
 mod read_keypoints;
@@ -75,7 +72,6 @@ mod transform;
 mod write;
 
 pub use arrays::array::Array;
-#[cfg(feature = "npz")]
 pub use arrays::array_files::{find_arrays, read_arrays};
 pub use arrays::array_files::{read_array, write_volume};
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
@@ -87,9 +83,7 @@ pub use clouds::{
 pub use crs::Crs;
 pub use error::{Error, Result};
 pub use formats::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
-#[cfg(feature = "laz")]
 pub use las::copc::{Copc, LocalFile, Ranges};
-#[cfg(feature = "mcap")]
 pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
 pub use read_keypoints::read_keypoints;
@@ -105,5 +99,4 @@ pub use write::{adds_origin, write_cloud, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "e57", feature = "gltf", feature = "laz", feature = "mcap", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;

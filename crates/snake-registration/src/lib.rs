@@ -41,7 +41,6 @@ mod register;
 mod result;
 mod rigid;
 pub mod steps;
-mod tuning;
 
 pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};

@@ -30,7 +30,7 @@ const TABLE_ROWS: usize = 10;
 /// Processes every input. A failed input is reported, and the run continues.
 pub fn run(arguments: &DetectArguments) -> Result<u8> {
     arguments.compute.start_threads()?;
-    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, io::is_recording)?;
+    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format)?;
     check_inputs(&inputs)?;
     let is_recording = recording::is_given(arguments, &inputs)?;
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {

@@ -49,11 +49,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     bar.finish();
     let mut detection = Detection::default();
     detection.keypoints = finished.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
-    let source = KeypointSource {
-        crs: run.crs().cloned(),
-        tiles: finished.keypoints.iter().map(|keypoint| keypoint.tile).collect(),
-        ..KeypointSource::new(&inputs[0], run.origin())
-    };
+    let source = KeypointSource { crs: run.crs().cloned(), ..KeypointSource::new(&inputs[0], run.origin()) };
     super::write(output, arguments.format, &detection, &source)?;
     output_origin(output, super::adds_origin(output, arguments.format), run.origin());
     let (num_points, num_skipped) = run.num_points();

@@ -72,7 +72,7 @@ fn open(arguments: &RepeatabilityArguments) -> Result<(ViewPairs, Vec<PathBuf>)>
     {
         return Ok((data, Vec::new()));
     }
-    objects(expand(inputs, None, |_| false)?, &arguments.common.run.columns)
+    objects(expand(inputs, None)?, &arguments.common.run.columns)
 }
 
 /// Cloud files as objects, and those of several that have no cloud, each of which is named.

@@ -8,7 +8,6 @@ mod eval_models;
 mod eval_registration;
 mod eval_repeatability;
 mod eval_semantic;
-mod features;
 mod field;
 mod hostile_files;
 mod inputs;

@@ -110,23 +110,6 @@ fn bash_completes_sub_commands_and_their_options() {
     }
 }
 
-#[cfg(feature = "manual")]
-#[test]
-fn every_sub_command_has_a_manual_page() {
-    let folder = tempfile::tempdir().unwrap();
-    let pages = folder.path().join("man/man1");
-    assert_eq!(snake(&["manual", &pages.display().to_string()]).status.code(), Some(0));
-    for (name, _) in helps(&[]) {
-        let file = format!("{}.1", format!("snake-cli {name}").trim_end().replace(' ', "-"));
-        let page = std::fs::read_to_string(pages.join(&file)).unwrap_or_else(|error| panic!("{file}: {error}"));
-        assert!(page.contains(".SH SYNOPSIS"), "{page}");
-    }
-    std::fs::write(folder.path().join("file"), "").unwrap();
-    let output = snake(&["manual", &folder.path().join("file").display().to_string()]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).starts_with("error: ") && stderr(&output).lines().count() == 1, "{}", stderr(&output));
-}
-
 #[test]
 fn quiet_leaves_files_json_and_errors() {
     let folder = tempfile::tempdir().unwrap();

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use crate::arrays::array::Array;
 use crate::arrays::npy;
-#[cfg(feature = "npz")]
 use crate::arrays::npz;
 use crate::{Error, Result, write_atomically};
 
@@ -35,7 +34,6 @@ pub fn read_array(path: &Path) -> Result<Array> {
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not an archive or lacks one of the arrays.
-#[cfg(feature = "npz")]
 pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
     let lacking = |name: &&str| Error::Format { path: path.into(), reason: format!("array `{name}`: not in the file") };
     let arrays = find_arrays(path, names)?.into_iter().zip(names);
@@ -46,7 +44,6 @@ pub fn read_arrays(path: &Path, names: &[&str]) -> Result<Vec<Array>> {
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not an archive or an array cannot be read.
-#[cfg(feature = "npz")]
 pub fn find_arrays(path: &Path, names: &[&str]) -> Result<Vec<Option<Array>>> {
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     npz::read_named(&bytes, names).map_err(|reason| Error::Format { path: path.into(), reason })

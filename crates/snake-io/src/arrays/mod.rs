@@ -3,5 +3,4 @@
 pub(crate) mod array;
 pub(crate) mod array_files;
 pub(crate) mod npy;
-#[cfg(feature = "npz")]
 pub(crate) mod npz;

@@ -56,7 +56,6 @@ fn open_cloud(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
 }
 
 /// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`, that is no matrix of a camera or transform.
-#[cfg(feature = "npz")]
 pub(crate) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
     let is_matrix = |array: &ArrayHeader| matches!((array.rows, array.columns), (3, 3) | (3 | 4, 4));

@@ -13,24 +13,23 @@ use crate::steps::judge::{judge_counted, less_confident};
 use crate::steps::refine::Candidate;
 use crate::steps::refine::icp::{iterate, symmetric_icp};
 use crate::steps::votes::{Vote, Votes, votes};
-use crate::tuning::tuning;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{Vector, least_spread};
 
-tuning! {
-    /// Number of poses that are compared for each instance, at most.
-    tried: usize = 40, unit "poses", from "set for time";
-    /// Distance between pairs of ICP, round by round. A vote is off by up to a tenth of the part.
-    rounds: [f64; 3] = [4.0, 2.0, 1.0], unit "inlier distances", from "set by hand";
-    /// Number of ICP steps of a round.
-    steps: usize = 10, unit "steps", from "set for time";
-    /// Two instances share at most this much of the target's voxels that the smaller explains.
-    max_shared: f64 = 0.2, unit "share of the voxels", from "set by hand: parts that touch share some";
-    /// Number of poses that are judged for each instance, at most.
-    judged: usize = 2, unit "poses", from "set for time";
-    /// An instance has this share of the score of the best.
-    min_score: f64 = 0.4, unit "share of the score", from "set by hand: parts lie on each other";
-}
+/// Number of poses that are compared for each instance, at most. Set for time.
+const TRIED: usize = 40;
+/// Distance between pairs of ICP, round by round. A vote is off by up to a tenth of the part. Unit: inlier distances.
+/// Set by hand.
+const ROUNDS: [f64; 3] = [4.0, 2.0, 1.0];
+/// Number of ICP steps of a round. Set for time.
+const STEPS: usize = 10;
+/// Two instances share at most this much of the target's voxels that the smaller explains. Unit: share of the voxels.
+/// Set by hand: parts that touch share some.
+const MAX_SHARED: f64 = 0.2;
+/// Number of poses that are judged for each instance, at most. Set for time.
+const JUDGED: usize = 2;
+/// An instance has this share of the score of the best. Set by hand: parts lie on each other.
+const MIN_SCORE: f64 = 0.4;
 
 /// Number of ICP steps at the end, at most.
 const ICP_STEPS: usize = 30;
@@ -65,7 +64,7 @@ impl Placed {
     fn overlaps(&self, other: &Self) -> bool {
         let shared = self.explained.iter().filter(|voxel| other.explained.binary_search(voxel).is_ok()).count();
         let smaller = self.explained.len().min(other.explained.len());
-        shared as f64 > TUNING.max_shared * smaller as f64
+        shared as f64 > MAX_SHARED * smaller as f64
     }
 }
 
@@ -76,12 +75,12 @@ impl Placed {
 pub(super) fn register_instances(pair: &Pair, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
     let pair = &if pair.is_signed() { pair.without_signs().with_target_space() } else { pair.with_target_space() };
     let votes = votes(pair, control)?;
-    let placed = placed(pair, &votes, TUNING.tried * pair_options.instances, control)?;
+    let placed = placed(pair, &votes, TRIED * pair_options.instances, control)?;
     let counter = control.begin("instances", pair_options.instances);
     let (mut reliable, mut doubtful) = (Vec::new(), Vec::new());
-    for rough in placed.iter().take_while(|rough| rough.score() > TUNING.min_score * placed[0].score()) {
+    for rough in placed.iter().take_while(|rough| rough.score() > MIN_SCORE * placed[0].score()) {
         let is_enough = reliable.len() == pair_options.instances;
-        if is_enough || reliable.len() + doubtful.len() == TUNING.judged * pair_options.instances {
+        if is_enough || reliable.len() + doubtful.len() == JUDGED * pair_options.instances {
             break;
         }
         if is_taken(rough, &reliable) {
@@ -113,7 +112,7 @@ fn is_taken(placed: &Placed, others: &[(Placed, Registration)]) -> bool {
 fn placed(pair: &Pair, votes: &Votes, count: usize, control: &Control) -> Result<Vec<Placed>> {
     let [source, target] = pair.surfaces();
     let distance = pair.criteria().inlier_distance;
-    let wide = TUNING.rounds.map(|factor| pair.surfaces_within(factor * distance));
+    let wide = ROUNDS.map(|factor| pair.surfaces_within(factor * distance));
     let step = coarse_step(source.points.len());
     let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
     let guesses = votes.poses(count);
@@ -123,7 +122,7 @@ fn placed(pair: &Pair, votes: &Votes, count: usize, control: &Control) -> Result
         let mut transform = guess;
         for [source, target] in &wide {
             let pairs = |transform: &IsometryMatrix3<f64>| agreeing_pairs(source, target, transform, step);
-            let steps = (TUNING.steps, target.grid.distance());
+            let steps = (STEPS, target.grid.distance());
             transform = iterate(pairs, transform, pair.criteria().gravity, steps, &counter)?;
         }
         Ok((transform, Surface::agreement(source, target, &transform, step).fit()))

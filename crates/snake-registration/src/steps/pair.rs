@@ -88,7 +88,7 @@ impl<'a> Pair<'a> {
     pub fn contradicts_viewpoints(&self, t_target_source: &RigidTransform) -> bool {
         let [source, target] = self.surfaces();
         self.viewpoints_used().contains(&ViewpointUsed::Origin)
-            && Surface::opposed(source, target, t_target_source.isometry()) > surface::TUNING.max_opposed
+            && Surface::opposed(source, target, t_target_source.isometry()) > surface::MAX_OPPOSED
     }
 
     /// Whether the signs of normals and the free space are doubtful: voxels are too coarse for what

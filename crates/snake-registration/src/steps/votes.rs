@@ -15,24 +15,23 @@ use crate::cloud::near_grid::NearGrid;
 use crate::rigid::displacement;
 use crate::steps::oriented::Oriented;
 use crate::steps::pair::Pair;
-use crate::tuning::tuning;
 use snake_core::{Control, Counter, Result};
 use snake_geometry::Vector;
 
-tuning! {
-    /// Distance between the points that vote, and the step of the lengths of pairs.
-    spacing: f64 = 0.05, unit "diameters of the source", from "Drost et al. 2010";
-    /// Number of steps of an angle between normals and lines, over 90 degrees.
-    angle_steps: usize = 7, unit "steps", from "steps of about 12 degrees: Drost et al. 2010";
-    /// Number of steps of a turn about a normal.
-    turn_steps: usize = 30, unit "steps", from "Drost et al. 2010";
-    /// Every so many of the target's points collect votes.
-    reference_step: usize = 2, unit "points", from "set by hand: parts that show little need them";
-    /// Poses that move the source by less than this are one.
-    same_pose: f64 = 0.1, unit "diameters of the source", from "Drost et al. 2010";
-    /// Number of points of the source that tell whether two poses are one.
-    probes: usize = 12, unit "points", from "set for time";
-}
+/// Distance between the points that vote, and the step of the lengths of pairs. Unit: diameters of the source. Drost et
+/// al. 2010.
+const SPACING: f64 = 0.05;
+/// Number of steps of an angle between normals and lines, over 90 degrees. Steps of about 12 degrees: Drost et al.
+/// 2010.
+const ANGLE_STEPS: usize = 7;
+/// Number of steps of a turn about a normal. Drost et al. 2010.
+const TURN_STEPS: usize = 30;
+/// Every so many of the target's points collect votes. Set by hand: parts that show little need them.
+const REFERENCE_STEP: usize = 2;
+/// Poses that move the source by less than this are one. Unit: diameters of the source. Drost et al. 2010.
+const SAME_POSE: f64 = 0.1;
+/// Number of points of the source that tell whether two poses are one. Set for time.
+const PROBES: usize = 12;
 
 /// What no motion changes of a pair of points, and where the second point lies about the normal of
 /// the first.
@@ -79,19 +78,19 @@ pub(crate) struct Votes {
 /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
 pub(crate) fn votes(pair: &Pair, control: &Control) -> Result<Votes> {
     let [source, target] = pair.clouds();
-    let spacing = TUNING.spacing * source.diameter;
+    let spacing = SPACING * source.diameter;
     let [source_points, target_points] =
         [source, target].map(|cloud| thinned(&cloud.voxels.voxels.points, &cloud.voxels.normals, spacing));
     let table = PairTable::new(source_points, spacing);
     let places: Vec<Vector> = target_points.iter().map(|place| place.point).collect();
-    let probes = table.points.iter().step_by(table.points.len().div_ceil(TUNING.probes).max(1));
+    let probes = table.points.iter().step_by(table.points.len().div_ceil(PROBES).max(1));
     let probes: Vec<Vector> = probes.map(|place| place.point).collect();
-    let distance = TUNING.same_pose * source.diameter;
+    let distance = SAME_POSE * source.diameter;
     if places.is_empty() || table.points.is_empty() {
         return Ok(Votes { all: Vec::new(), probes, distance });
     }
     let grid = NearGrid::new(&places, source.diameter);
-    let references: Vec<&Oriented> = target_points.iter().step_by(TUNING.reference_step).collect();
+    let references: Vec<&Oriented> = target_points.iter().step_by(REFERENCE_STEP).collect();
     let counter = control.begin("votes", references.len());
     let votes =
         references.into_par_iter().map(|reference| table.best_poses(reference, &target_points, &grid, &counter));
@@ -138,8 +137,8 @@ fn thinned(points: &[Vector], normals: &[Vector], side: f64) -> Vec<Oriented> {
 
 impl PairTable {
     fn new(points: Vec<Oriented>, step: f64) -> Self {
-        let lengths = (1.0 / TUNING.spacing) as usize + 1;
-        let mut table = Self { points, step, entries: vec![Vec::new(); lengths * TUNING.angle_steps.pow(3)] };
+        let lengths = (1.0 / SPACING) as usize + 1;
+        let mut table = Self { points, step, entries: vec![Vec::new(); lengths * ANGLE_STEPS.pow(3)] };
         for (first, a) in table.points.iter().enumerate() {
             for b in &table.points {
                 if let Some(feature) = feature(a, b, step)
@@ -162,7 +161,7 @@ impl PairTable {
     ) -> Result<Vec<Vote>> {
         counter.check()?;
         counter.add(1);
-        let steps = TUNING.turn_steps;
+        let steps = TURN_STEPS;
         let mut votes = [(); 2].map(|()| vec![0_u32; self.points.len() * steps]);
         grid.within(&reference.point, |index, _, _| {
             let Some(feature) = feature(reference, &places[index], self.step) else { return };
@@ -202,18 +201,16 @@ fn feature(a: &Oriented, b: &Oriented, step: f64) -> Option<Feature> {
     let cosines = [a.normal.dot(&line) / length, b.normal.dot(&line) / length, a.normal.dot(&b.normal)];
     let angle = |cosine: f64| {
         let angle = cosine.abs().min(1.0).acos() / (PI / 2.0);
-        ((angle * TUNING.angle_steps as f64) as usize).min(TUNING.angle_steps - 1)
+        ((angle * ANGLE_STEPS as f64) as usize).min(ANGLE_STEPS - 1)
     };
     let [first, second, between] = cosines.map(angle);
-    let across = TUNING.angle_steps - 1;
+    let across = ANGLE_STEPS - 1;
     if (first, second, between) == (across, across, 0) || first == 0 {
         return None;
     }
     let [y, z] = a.across();
     Some(Feature {
-        key: (((length / step) as usize * TUNING.angle_steps + first) * TUNING.angle_steps + second)
-            * TUNING.angle_steps
-            + between,
+        key: (((length / step) as usize * ANGLE_STEPS + first) * ANGLE_STEPS + second) * ANGLE_STEPS + between,
         side: (first != across).then_some(cosines[0] > 0.0),
         azimuth: (line.dot(&z).atan2(line.dot(&y)) / TAU) as f32,
     })
