@@ -247,13 +247,8 @@ def test_results_are_tensors():
     assert tensor.shape == (len(found), 3) and np.array_equal(tensor.numpy(), found.points)
 
 
-def test_no_limit_is_none_and_one_threshold_is_a_number(keypoints):
+def test_no_limit_is_none():
     assert len(snake_rs.detect(torus(), max_keypoints=None, nms_radius=0)) > 64
-    of = snake_rs.metrics.relative_repeatability
-    one = of(keypoints, keypoints, np.eye(4), 0.1)
-    assert one.shape == () and float(one) == 1
-    assert of(keypoints, keypoints, np.eye(4), np.float32(0.1)).shape == ()
-    assert of(keypoints, keypoints, np.eye(4), [0.1]).tolist() == [1]
 
 
 def test_a_list_of_clouds_gives_a_list_of_keypoints(tmp_path):

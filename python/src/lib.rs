@@ -11,7 +11,6 @@ mod files;
 mod io;
 mod keypoints;
 mod mesh;
-mod metrics;
 mod model;
 mod options;
 mod page;
@@ -156,12 +155,6 @@ mod _core {
     use super::baselines::{farthest_points, harris3d, iss, random_points, sift3d, surface_variation};
     #[pymodule_export]
     use super::command::run_command;
-    #[pymodule_export]
-    use super::metrics::{
-        feature_matching_recall, geodesic_distances, information_matrix, inlier_ratio, iou, mean_distance_to_keypoints,
-        registration_recall, relative_repeatability, semantic_counts, smpl_iou, smpl_pair_counts,
-        squared_registration_error, symmetric_repeatability,
-    };
     #[pymodule_export]
     use super::page::page;
     #[pymodule_export]

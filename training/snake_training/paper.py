@@ -224,7 +224,7 @@ class Programme:
             theirs = means.loc[f"snake{of} (paper)"] if f"snake{of} (paper)" in means.index else {}
             label = cell.command.name.rpartition("/")[2]
             for condition in means.columns if cell.paper is None else [cell.condition]:
-                if cell.paper is None and kind_of(condition)[0] != cell.condition:
+                if cell.paper is None and (kind_of(condition)[0] != cell.condition or ours[condition].isna().any()):
                     continue
                 paper = cell.paper if cell.paper is not None else theirs.get(condition, float("nan"))
                 spread = f" ±{ours[condition].std():.3f}" if len(ours) > 1 else ""

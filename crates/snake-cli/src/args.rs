@@ -7,7 +7,6 @@ use clap_complete::Shell;
 
 use crate::align::args::AlignArguments;
 use crate::detect::args::DetectArguments;
-use crate::eval::args::Eval;
 use crate::field::args::FieldArguments;
 use crate::reconstruct::ReconstructArguments;
 use crate::register::args::RegisterArguments;
@@ -94,9 +93,6 @@ pub enum Command {
   snake-cli detect city.laz --tile 50 -o keypoints.laz
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
-    /// Evaluate keypoints on a data set and compare them with classical detectors.
-    #[command(subcommand)]
-    Eval(Eval),
     /// Draw the occupancy or saliency field of a cloud, or write its values on a grid.
     ///
     /// A picture (.png) is a maximum projection along an axis, as in the paper's figures, or a slice (--slice). The

@@ -69,12 +69,7 @@ pub struct ColumnArguments {
 }
 
 impl ColumnArguments {
-    /// Reads a cloud of a data set.
-    pub fn read(&self, path: &Path) -> Result<Cloud> {
-        Ok(io::read_cloud(path, &self.options())?)
-    }
-
-    /// The options that read the clouds of a data set.
+    /// The options that read clouds.
     pub fn options(&self) -> ReadOptions {
         ReadOptions::default().with_columns(self.columns.clone())
     }

@@ -6,8 +6,6 @@ mod args;
 mod completions;
 mod config;
 mod detect;
-mod disturb;
-mod eval;
 mod field;
 mod flags;
 mod inputs;
@@ -72,7 +70,6 @@ fn run_command(command: &Command) -> Result<u8> {
     match command {
         Command::Align(arguments) => return align::run(arguments),
         Command::Detect(arguments) => return detect::run(arguments),
-        Command::Eval(command) => return eval::run(command),
         Command::Field(arguments) => field::run(arguments)?,
         Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
         Command::Register(arguments) => return register::run(arguments),

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{Builtin, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, NamedModel, Options, SimdLevel};
+use snake_core::{Builtin, Chooser, Chosen, EncodeOptions, Model, NamedModel, Options, SimdLevel};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
@@ -72,19 +72,6 @@ impl ComputeArguments {
     /// Loads the model of `--model`, or else the built-in model `which`. `start` gives the options that `snake.toml` then changes.
     pub fn load_model(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
         load(self.named()?.or(which.map(|which| Path::new(which.name()))), start)
-    }
-
-    /// The built-in model that suits a cloud and given values of options; `None` if `--model` names one.
-    pub fn suited(
-        &self,
-        values: &Map<String, Value>,
-        cloud: impl FnOnce() -> Result<Cloud>,
-    ) -> Result<Option<Builtin>> {
-        if self.named()?.is_some() {
-            return Ok(None);
-        }
-        let chooser = Chooser::default().with_values(values)?;
-        Ok(chooser.for_cloud(&cloud()?)?.which)
     }
 
     /// The chooser of model and options for each cloud, for given values of options.
@@ -161,21 +148,11 @@ impl EncodeFlags {
         self.encode.given().into_iter().chain(self.set.given()).collect()
     }
 
-    /// The name of the preset.
-    pub fn preset(&self) -> Option<&str> {
-        self.preset.as_deref()
-    }
-
     /// [`EncodeFlags::given`] with the preset.
     pub fn values(&self) -> Map<String, Value> {
         let preset = self.preset.iter().map(|name| ("preset".to_owned(), name.clone().into()));
         self.given().into_iter().chain(preset).collect()
     }
-}
-
-/// The length, or `None` for 0, which turns the option off.
-pub fn none_if_zero(length: Length) -> Option<Length> {
-    Some(length).filter(|length| *length != Length::Units(0.0))
 }
 
 /// Parses the value of an option from its name in weight files and reports.

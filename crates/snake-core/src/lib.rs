@@ -31,8 +31,7 @@
 //! | a time limit or a server | progress, cancellation, limits | [`Control`], with the methods that end in `_with` |
 //!
 //! Results have the same bits for any number of threads. The crate `snake-geometry` has points and what can be said of
-//! them without a network, `snake-eval` the metrics of keypoints, and `snake-detectors` classical detectors for
-//! comparison.
+//! them without a network, and `snake-detectors` classical detectors for comparison.
 
 #![forbid(unsafe_code)]
 

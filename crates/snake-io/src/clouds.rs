@@ -160,12 +160,3 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
     let dominant_face = shape.dominant_face;
     Ok(Contents { cloud: shape.into_cloud(), unsampled_faces, dominant_face, viewpoint, crs })
 }
-
-/// Reads clouds with equal numbers of points from an `.npy` array `(S, N, C)`, `C >= 3`, of floats or integers.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
-pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-    npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
-}

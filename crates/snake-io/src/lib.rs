@@ -71,14 +71,11 @@ mod text;
 mod transform;
 mod write;
 
-pub use arrays::array::Array;
-pub use arrays::array_files::{find_arrays, read_arrays};
-pub use arrays::array_files::{read_array, write_volume};
+pub use arrays::array_files::write_volume;
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use attributes::{Attributes, read_attributes};
 pub use clouds::{
-    Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
-    read_points,
+    Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_contents, read_points,
 };
 pub use crs::Crs;
 pub use error::{Error, Result};
@@ -89,9 +86,7 @@ pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
 pub use read_keypoints::read_keypoints;
 pub use snake_geometry::Cloud;
 pub use text::columns::{Column, Columns};
-pub use transform::{
-    REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,
-};
+pub use transform::{REGISTRATION_EXTENSIONS, check_registration_path, read_transform, write_registration};
 pub use write::json::keypoint_json;
 pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};

@@ -147,11 +147,6 @@ proptest! {
         let header = format!("{{'descr': '{item}', 'fortran_order': False, 'shape': ({}), }}\n", lengths.join(", "));
         let bytes = [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &data].concat();
         checks::read_cloud(&bytes, PointFormat::Npy);
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), &bytes).unwrap();
-        let num_points: usize = io::read_clouds(file.path()).unwrap_or_default().iter().map(Vec::len).sum();
-        let num_transforms = io::read_transforms(file.path()).unwrap_or_default().len();
-        prop_assert!(num_points.max(num_transforms) <= data.len());
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! Arrays: NumPy files and archives.
 
-pub(crate) mod array;
 pub(crate) mod array_files;
 pub(crate) mod npy;
 pub(crate) mod npz;
