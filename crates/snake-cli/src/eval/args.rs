@@ -239,8 +239,8 @@ impl RunArguments {
         }
     }
 
-    /// Loads the models for all clouds of a data set: those of `--models`, else that of `--model`, else the built-in model `which`.
-    /// `start` gives the options that `snake.toml` then changes.
+    /// Loads the models for all clouds of a data set: those of `--models`, else that of `--model`, else the built-in model `which`,
+    /// with the options of `start`.
     pub fn load_models(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<Vec<NamedModel>> {
         match &self.models[..] {
             [] => Ok(vec![self.compute.load_model(which, start)?]),

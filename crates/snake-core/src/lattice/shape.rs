@@ -26,14 +26,6 @@ pub enum VolumeShape {
     },
 }
 
-/// The options that make a detection cheaper.
-pub(crate) enum TimeBudget {
-    /// Fewer points and fewer queries.
-    PointsAndQueries,
-    /// Larger voxels.
-    VoxelSize,
-}
-
 impl VolumeShape {
     /// The frame of a cube; `None` for a scene model, whose volume follows the cloud.
     pub fn frame(&self) -> Option<VolumeFrame> {
@@ -129,14 +121,6 @@ impl VolumeShape {
             (Self::Scene { .. }, _) => None,
             (Self::Cube(_), method) if method.is_fixed() => None,
             (Self::Cube(_), _) => Normalization::from_finite(points, NormalizationMethod::UnitSphere).ok(),
-        }
-    }
-
-    /// The options that make a detection cheaper.
-    pub(crate) fn time_budget(&self) -> TimeBudget {
-        match self {
-            Self::Cube(_) => TimeBudget::PointsAndQueries,
-            Self::Scene { .. } => TimeBudget::VoxelSize,
         }
     }
 }
