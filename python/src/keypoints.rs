@@ -86,8 +86,8 @@ pub struct Keypoints {
     /// The size of a voxel of its volume, in cloud units; None for keypoints from a file.
     #[pyo3(get)]
     voxel_size: Option<f64>,
-    /// Notes on them, a list of sentences: on the choice of the model, the cloud's scale, outliers, and keypoints that
-    /// cluster.
+    /// Notes on them, a list of sentences: on the choice of the model, and on outliers and other
+    /// faults of the cloud.
     #[pyo3(get)]
     notes: Vec<String>,
     /// The cloud, for descriptors. Keypoints that were pickled or loaded have none.
@@ -100,12 +100,11 @@ impl Keypoints {
     pub fn chosen(
         py: Python<'_>,
         detection: Detection,
-        mut notes: Vec<String>,
+        notes: Vec<String>,
         chosen: &Chosen,
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
-        notes.extend(py.detach(|| chosen.cluster_hint(&detection)));
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
         let source = (Some(chosen.name.clone()), notes);
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)

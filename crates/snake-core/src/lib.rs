@@ -55,14 +55,11 @@ pub mod steps;
 
 #[cfg(feature = "builtin-models")]
 pub use builtin::Builtin;
-pub use choose::scale_hint;
 #[cfg(feature = "builtin-models")]
 pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
 pub use control::{CancelFlag, Control, Counter, Progress, Stage, check_num_threads, parallel_map};
-pub use detect::{
-    Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint,
-};
+pub use detect::{Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank};
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};

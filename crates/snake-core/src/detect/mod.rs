@@ -1,6 +1,5 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
-mod cluster_hint;
 mod corners;
 mod detection;
 mod finish;
@@ -11,7 +10,6 @@ pub(crate) mod refine;
 pub(crate) mod tests;
 mod tiles;
 
-pub use self::cluster_hint::cluster_hint;
 pub use self::detection::{Counts, Detection, Timing};
 pub use self::tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
 
