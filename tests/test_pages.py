@@ -288,15 +288,6 @@ def test_python_runs(page, folder, monkeypatch, capsys):
         assert "Keypoints(45" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if any("[options]" in b for b in blocks(page, "toml"))])
-def test_configuration_is_read(page, compiled, folder):
-    (block,) = (block for block in blocks(page, "toml") if "[options]" in block)
-    tomllib.loads(block)
-    (folder / "snake.toml").write_text(block)
-    done = subprocess.run([compiled / "snake-cli", "detect", "samples/plane.ply", "-v"], capture_output=True, text=True)
-    assert done.returncode == 0 and "scenes" in done.stderr and '"nms_radius":0.2' in done.stderr, done.stderr
-
-
 def test_rust_example_is_the_one_that_cargo_compiles():
     (example,) = blocks("README.md", "rust")
     assert example == (ROOT / "crates/snake-io/examples/keypoints.rs").read_text()

@@ -270,22 +270,6 @@ def test_a_list_of_clouds_gives_a_list_of_keypoints(tmp_path):
         snake_rs.detect([clouds[0], np.ones((9, 2))])
 
 
-@pytest.mark.parametrize("extension", ["ply", "pcd", "npy", "csv", "json"])
-@pytest.mark.parametrize("origin", [[0, 0, 0], [5e5, 5.4e6, 400]])
-def test_keypoints_load_as_they_were_saved(extension, origin, tmp_path):
-    found, path = snake_rs.detect(torus() + origin), tmp_path / f"keypoints.{extension}"
-    found.save(path)
-    loaded = snake_rs.Keypoints.load(path)
-    assert np.allclose(loaded.points, found.points, atol=2e-7 if origin[0] == 0 else 1e-6)
-    for name in ("saliency", "occupancy", "nearest_index"):
-        assert np.array_equal(getattr(loaded, name), getattr(found, name))
-    with pytest.raises(ValueError, match="cloud of these keypoints is not known"):
-        _ = loaded.descriptors
-    np.savetxt(tmp_path / "cloud.csv", torus(9), delimiter=",", header="x,y,z", comments="")
-    with pytest.raises(ValueError, match="no column `saliency`"):
-        snake_rs.Keypoints.load(tmp_path / "cloud.csv")
-
-
 def test_keypoints_have_descriptors_that_match(keypoints):
     rows = keypoints.descriptors
     assert rows.shape == (len(keypoints), 33) and rows.dtype == np.float32

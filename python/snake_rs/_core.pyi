@@ -16,7 +16,6 @@ __all__ = [
     "DetectedTiles",
     "Field",
     "Fit",
-    "Instance",
     "Keypoint",
     "Keypoints",
     "Matches",
@@ -146,7 +145,6 @@ class _PairOptions(TypedDict, total=False):
     target_viewpoint: ArrayLike | None
     initial: ArrayLike | None
     hypotheses: int
-    instances: int
     estimate_scale: bool
 
 @type_check_only
@@ -381,8 +379,6 @@ class Keypoints:
         voxel_size: float | None = None,
         notes: list[str] = ...,
     ) -> Self: ...
-    @staticmethod
-    def load(path: _Path) -> Keypoints: ...
     @property
     def descriptors(self) -> NDArray[np.float32]: ...
     @property
@@ -559,18 +555,7 @@ class Registration:
     @property
     def hypotheses(self) -> list[NDArray[np.float64]]: ...
     @property
-    def instances(self) -> list[Instance]: ...
-    @property
     def seconds(self) -> float: ...
-
-@final
-class Instance:
-    @property
-    def t_target_source(self) -> NDArray[np.float64]: ...
-    @property
-    def verdict(self) -> Verdict: ...
-    @property
-    def fit(self) -> Fit: ...
 
 @final
 class Verdict:

@@ -35,9 +35,7 @@ use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use recording::{RecordedCloud, Recording, read_recording};
-use registration::{
-    CloudReport, Fit, Instance, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register,
-};
+use registration::{CloudReport, Fit, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
@@ -161,10 +159,9 @@ mod _core {
     use super::steps::{aggregate, decode, interpolate, interpolate_gradient, refine, suppress};
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Instance, Keypoint, Keypoints, Matches, Mesh,
-        Model, PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals,
-        fpfh, get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads,
-        tiles,
+        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Keypoint, Keypoints, Matches, Mesh, Model,
+        PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals, fpfh,
+        get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -36,13 +36,9 @@ Environment:
   SNAKE_MODELS   folder in which named models are looked up
   SNAKE_THREADS  default of --threads: the number of threads
   SNAKE_SIMD     portable, avx2, avx512 or neon; default: the best level of the processor
-  SNAKE_CONFIG   configuration file; default: snake.toml in the working folder, if there is one
   NO_COLOR       turns colours off; colours are only used on a terminal
 
-Configuration (snake.toml): model = \"NAME or FILE\", threads = N, [options] for every model, and
-[models.NAME] or [models.'FILE'] for one. Options have the names that `snake-cli options` prints. The
-command line comes first, then the environment, then the configuration, then what the model recommends;
-with --preset the options of the configuration do not apply."
+The command line comes first, then the environment, then what the model recommends."
 )]
 pub struct Arguments {
     #[command(subcommand)]
@@ -155,7 +151,7 @@ pub enum Command {
         #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
-    /// List the options that --set, `snake.toml` and Python take, with their values.
+    /// List the options that --set and Python take, with their values.
     #[command(after_help = "Examples:
   snake-cli options
   snake-cli detect scan.ply --set mode_radius=4% --set snap=true")]

@@ -4,7 +4,6 @@
 mod align;
 mod args;
 mod completions;
-mod config;
 mod detect;
 mod field;
 mod flags;

@@ -63,7 +63,6 @@ mod formats;
 mod las;
 mod logs;
 mod poses;
-mod read_keypoints;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -83,7 +82,6 @@ pub use formats::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFo
 pub use las::copc::{Copc, LocalFile, Ranges};
 pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
-pub use read_keypoints::read_keypoints;
 pub use snake_geometry::Cloud;
 pub use text::columns::{Column, Columns};
 pub use transform::{REGISTRATION_EXTENSIONS, check_registration_path, read_transform, write_registration};

@@ -12,7 +12,6 @@ use snake_tiles::{Error, Tile, TiledRun};
 use super::args::DetectArguments;
 use crate::inputs::{DASH, output_origin};
 use crate::output::InputFiles;
-use crate::setup::recommended;
 use crate::terminal::{self, Bar, Report};
 use crate::{FAILURE, SUCCESS};
 
@@ -20,7 +19,7 @@ use crate::{FAILURE, SUCCESS};
 pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<u8> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
-    let model = arguments.compute.load_model(Some(Builtin::Scenes), recommended)?;
+    let model = arguments.compute.load_model(Builtin::Scenes)?;
     let mut options = model.options.resolve(&arguments.options.values())?;
     if !arguments.options.has("max_keypoints") {
         options.detect.max_keypoints = usize::MAX;

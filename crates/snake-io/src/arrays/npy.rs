@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use crate::table::scalar::Scalar;
 use crate::table::shape::{Position, Shape, check_left_over};
-use crate::table::{Place, Table, decode};
+use crate::table::{Place, decode};
 use crate::text::columns::Columns;
 use snake_geometry::excerpt;
 
@@ -26,13 +26,6 @@ pub(crate) fn positions<'a>(
     }
     let places = array.places(columns.map_or(Ok([0, 1, 2]), Columns::in_array)?)?;
     Ok(decode(data, array.rows, places))
-}
-
-/// The table of the first columns of an array, with these names.
-pub(crate) fn table<'a, const N: usize>(bytes: &'a [u8], names: [&str; N]) -> Result<Table<'a>, String> {
-    let (array, data) = open_cloud(bytes)?;
-    let places = array.places(std::array::from_fn::<_, N, _>(|column| column))?;
-    Ok(Table::binary(names.map(String::from).into(), data, array.rows, places.into()))
 }
 
 /// [`positions`] as a shape without faces.

@@ -1,6 +1,5 @@
 //! Every way in which the transform of a pair is searched for, as one table.
 
-use super::instances::register_instances;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::rigid::displacement;
@@ -138,14 +137,11 @@ impl<'a, 'p> Search<'a, 'p> {
         Self { pair, options, pair_options, guesses: &[], effort, given: None, control }
     }
 
-    /// The registration by the tries that apply, or by point pairs of several instances.
+    /// The registration by the tries that apply.
     ///
     /// # Errors
     /// The errors of [`register_with`](crate::register_with).
     pub(crate) fn register(&self) -> Result<Registration> {
-        if self.pair_options.instances > 1 {
-            return register_instances(self.pair, self.pair_options, self.control);
-        }
         let mut registration = self.run()?;
         registration.hypotheses.truncate(self.pair_options.hypotheses);
         note_rounding(&mut registration, self.pair_options);

@@ -20,7 +20,6 @@ mod pair;
 pub mod prepare;
 pub mod refine;
 pub(crate) mod single_matches;
-pub(crate) mod votes;
 
 pub use consensus::consensus;
 pub use describe::{Rows, describe};

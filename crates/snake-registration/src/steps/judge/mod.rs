@@ -85,7 +85,6 @@ pub(crate) fn judge_counted(
         matches: counts,
         clouds: [report(0), report(1)],
         hypotheses: candidates.iter().map(Candidate::hypothesis).collect(),
-        instances: Vec::new(),
         scale: 1.0,
         seconds: 0.0,
     })
