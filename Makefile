@@ -42,9 +42,9 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo test --release $(QUICK) --lib -- --skip control::tests --skip tiles_of_any_size
 	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs::
 
-# All packages but two, whose features would change those of all others. The Python module by itself has the
+# All packages but one, whose features would change those of all others. The Python module by itself has the
 # same features: each crate is compiled once. tests/test_embedding.py runs what is compiled here.
-PACKAGES := --workspace --exclude snake-bench --exclude snake-interop
+PACKAGES := --workspace --exclude snake-interop
 NIGHTLY = -m "not nightly"
 TEST := test test-full
 $(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -100,7 +100,7 @@ check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stub
 .PHONY: packages
 packages:  # the package of each crate compiles without the rest of the repository, without and with its default features
 	rm -rf target/package
-	cargo package --workspace --exclude snake-rs-python --exclude snake-bench --exclude snake-interop --allow-dirty --no-verify
+	cargo package --workspace --exclude snake-rs-python --exclude snake-interop --allow-dirty --no-verify
 	cd target/package && for crate in *.crate; do tar -xmzf $$crate; done
 	cd target/package && { \
 		printf '[workspace]\nresolver = "3"\nmembers = ["*[0-9]"]\n[patch.crates-io]\n'; \
@@ -121,16 +121,15 @@ sdist: $(VENV)/ready  # the source distribution of the Python module compiles by
 golden: $(VENV)/ready  ## check the golden files against the PyTorch network
 	$(PYTHON) tests/golden/generate.py --check
 
-bench: module $(VENV)/bench-ready  ## speed beside PyTorch, ONNX Runtime, OpenVINO and Open3D
-	cargo build --release
+bench: module $(VENV)/bench-ready  ## speed beside PyTorch and OpenVINO
 	$(PYTHON) tests/bench/speed.py
 
 $(VENV)/registration-ready: $(VENV)/ready
 	$(PYTHON) -m pip install --quiet -e "training[registration]"
 	touch $@
 
-bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; resumable, hours, PARTS="speed verdict" for a part
-	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(PARTS),--parts $(PARTS))
+bench-registration: module $(VENV)/registration-ready  ## registration beside Open3D and KISS-Matcher: make bench-registration SCENES=FOLDER OBJECTS=FOLDER; hours, goes on where it stopped
+	$(PYTHON) tests/bench/registration.py $(if $(SCENES),--scenes $(SCENES)) $(if $(OBJECTS),--objects $(OBJECTS))
 
 models: module  ## all weights from their recipes into runs/: make models DATA=FOLDER VAL=FOLDER adds shapes, SMOKE=1 only sees that it runs; days, resumable, each recipe states its time
 	OMP_NUM_THREADS=1 $(PYTHON) -m snake_training.recipes training/recipes/*.toml $(if $(DATA),--data $(DATA)) \
@@ -161,7 +160,7 @@ $(VENV)/site-ready: $(VENV)/ready
 site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
 	python3 tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --exclude snake-bench --exclude snake-interop --no-deps
+	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --exclude snake-interop --no-deps
 	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels

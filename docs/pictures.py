@@ -2,146 +2,219 @@
 
 FOLDER holds objects/val, a corpus folder, and scenes/val and scenes/train, folders of fragments (N, 3) with `pairs.json`; pictures of
 them stay as they are without it. The curves are made by `make results`. Needs snake-cli, snake_rs, Pillow and, for the page, Chromium.
+
+Clouds have the colour of the saliency at their points, from violet (0) to yellow (0.7). Keypoints are those of the default options: the
+larger, the higher their confidence. Of a pair the target is grey and the source red: the best answer first, then its rivals.
 """
 
 import argparse
 import importlib.util
+import itertools
 import json
 import shutil
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+import snake_rs
 
 DOCS = Path(__file__).resolve().parent
 WORK = DOCS.parent / "target/pictures"
 PLANE = DOCS.parent / "samples/plane.ply"
 OFFICE = "sun3d-mit_lab_hj-lab_hj_tea_nov_2_2012_scan1_erika__{:02}"
+OBJECTS = dict(
+    chair="Chair_1", armchair="Chair_3", stool="painted_wooden_stool_1k", skull="Skull", bolt="factory_bolt_m20_loose",
+    windturbine="windturbine_tall_fan", cat="cat", bed="bedDouble",
+)  # fmt: skip
 
-# The commands of each picture. {NAME} is the file of a cloud of CLOUDS, {out} the picture.
-OBJECTS = "chair", "armchair", "stool", "skull", "bolt", "windturbine", "cat", "bed"
-GALLERY, PAIRS = "python docs/gallery.py {out}", "python docs/pairs.py {out}"
-CHROMIUM = "chromium --no-sandbox --headless --log-level=3 --enable-unsafe-swiftshader --window-size=960,580"
-PICTURES = {
-    "view.png": [f"snake-cli view {PLANE} -o {WORK}/plane.html", CHROMIUM + f" --screenshot={{out}} {WORK}/plane.html"],
-    "gallery/first.png": [f"{GALLERY} {PLANE} {{office}} --up z camera --columns 2"],
-    "gallery/objects.png": [
-        f"{GALLERY} {' '.join(f'{{{name}}}' for name in OBJECTS)} --up y --view 30 20 --model compact"
-    ],
-    "gallery/rooms.png": [f"{GALLERY} {{office}} {{corner}} --up camera --columns 2"],
-    "gallery/street.png": [f"{GALLERY} {{sweep}} {{street}} --columns 2 --view 60 35 --radius 30"],
-    "gallery/aerial.png": [f"{GALLERY} {{aerial}} {{tabletop}} --up z camera --columns 2 --view 15 60"],
-    "gallery/facade.png": [f"{PAIRS} {{facade_moved}} {{facade}} --hypotheses 3"],
-    "gallery/stairs.png": [f"{PAIRS} {{stairs_above}} {{stairs}} --hypotheses 2 --side"],
-    "gallery/map.png": [f"{PAIRS} {{room}} {{rooms}} --map 0.05"],
-    "gallery/overlap.png": [f"{PAIRS} {{overlapping}} {{overlapped}}"],
-    "gallery/field.png": [f"snake-cli field {PLANE} -o {{out}}"],
+WIDTH, TITLE, MARGIN = 1000, 26, 12  # pixels
+VIRIDIS = [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)]
+GREY, RED = (150, 150, 150), (229, 72, 77)
+# Rotations to x right, y away and z up, by the axis that points up in a cloud; a camera has -y there.
+UPRIGHT = {
+    "z": np.eye(3),
+    "y": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "camera": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
 
 
-def samples():
-    """The script `samples/generate.py`."""
-    spec = importlib.util.spec_from_file_location("generate", DOCS.parent / "samples/generate.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    return script
+class MissingError(Exception):
+    """What a picture needs and is not there."""
+
+
+def rotation(azimuth, elevation):
+    """Rotation (3, 3) to the picture: right, up, towards the viewer; angles in degrees."""
+    a, e = np.radians([azimuth, elevation])
+    about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.sin(e), np.cos(e)], [0, -np.cos(e), np.sin(e)]])
+    return about_x @ about_z
+
+
+def drawn(seen, colours, title, width, size=1, marks=(), radii=()):
+    """The picture of points (N, 2) in their order, each a square of `size` pixels; `marks` (K, 2) have radii in pixels."""
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    scale = (width - 2 * MARGIN) / max(high - low)
+    height = int((high[1] - low[1]) * scale) + 2 * MARGIN + TITLE
+
+    def pixels(points):
+        across = width / 2 + (points[:, 0] - (low[0] + high[0]) / 2) * scale
+        return np.column_stack([across, TITLE + MARGIN + (high[1] - points[:, 1]) * scale]).astype(int)
+
+    canvas = np.full((height, width, 3), 255, np.uint8)
+    for step in np.ndindex(size, size):
+        column, row = np.minimum(pixels(seen) + step, (width - 1, height - 1)).T
+        canvas[row, column] = colours
+    image = Image.fromarray(canvas)
+    draw = ImageDraw.Draw(image)
+    for (x, y), radius in zip(pixels(np.reshape(marks, (-1, 2))), radii, strict=True):
+        outline = "white" if radius > 3 else None
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill="#e5484d", outline=outline, width=1)
+    draw.text((width / 2, TITLE / 2), title, fill="black", font=ImageFont.load_default(15), anchor="mm")
+    return image
+
+
+def keypoints(named, ups="z", columns=4, view=(35, 25), radius=np.inf, model=None):
+    """Panels of clouds, by name, with their keypoints; `radius`: only what is so near to the median point."""
+    width = WIDTH // columns
+    for (name, points), up in zip(named.items(), itertools.cycle(ups.split())):
+        found = snake_rs.detect(points, model)
+        field = snake_rs.Model.builtin(found.model.split(",")[0]).encode(points)
+        turn, middle = rotation(*view) @ UPRIGHT[up], np.median(points, axis=0)
+        points = points[np.linalg.norm(points - middle, axis=1) < radius]
+        points = points[np.argsort(points @ turn[2])]  # the nearest is drawn last
+        stops, saliency = np.linspace(0, 0.7, len(VIRIDIS)), field.saliency(points)
+        colours = np.stack([np.interp(saliency, stops, channel) for channel in zip(*VIRIDIS)], axis=1).astype(np.uint8)
+        near = (np.linalg.norm(found.points - middle, axis=1) < radius).nonzero()[0][::-1]
+        radii = width * (0.003 + 0.014 * found.confidence[near])
+        marks = (found.points[near] @ turn.T)[:, :2]
+        yield drawn((points @ turn.T)[:, :2], colours, f"{name}: {len(found)}", width, 2, marks, radii)
+
+
+def answers(source, target, hypotheses=1, map_voxel=None, axes=(0, 1)):
+    """Panels of what `register` answers, or a `PreparedMap` of a voxel size; seen along the third axis."""
+    if map_voxel:
+        result = snake_rs.PreparedMap(target, voxel_size=map_voxel).register(source)
+    else:
+        result = snake_rs.register(source, target, hypotheses=hypotheses)
+    width, colours = WIDTH // max(len(result.hypotheses), 2), np.repeat([GREY, RED], [len(target), len(source)], axis=0)
+    for number, t in enumerate(result.hypotheses):
+        both = np.concatenate([target, source @ t[:3, :3].T + t[:3, 3]])[:, axes]
+        yield drawn(both, colours, "rival" if number else f"confidence {result.verdict.confidence:.2f}", width)
+
+
+def save(panels, name, columns=4, colours=64):
+    """A picture of panels of equal width."""
+    rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
+    heights = [max(image.height for image in row) for row in rows]
+    picture = Image.new("RGB", (sum(image.width for image in rows[0]), sum(heights)), "white")
+    for i, row in enumerate(rows):
+        for j, image in enumerate(row):
+            picture.paste(image, (j * image.width, sum(heights[:i]) + (heights[i] - image.height) // 2))
+    picture.quantize(colours).save(DOCS / name, optimize=True)
 
 
 def facade(shift):
     """A scan of a wall with a window every 1.5 m, from `shift` metres along it."""
-    made = samples()
+    spec = importlib.util.spec_from_file_location("generate", DOCS.parent / "samples/generate.py")
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
     boxes = [made.box([0, 0, -0.1], [80, 30, 0.2]), made.box([0, 9, 6], [80, 0.3, 12])]
     boxes += [made.box([x, 8.7, z], [1.2, 0.3, 1.5]) for x in np.arange(-19.5, 21, 1.5) for z in (2, 5, 8)]
     rays = made.turn(np.linspace(-45, 45, 48), 500)
     return made.scanned(boxes, [shift, 0, 1.4], 0, rays, 14, 0.008, np.random.default_rng(int(shift)))
 
 
-def stairs(end):
-    """A scan of spiral stairs, the source or the target of a pair of `tests/bench/alike_pairs.py`."""
+def stairs():
+    """Two scans of spiral stairs, of `tests/bench/made_pairs.py`."""
     sys.path.append(str(DOCS.parent / "tests/bench"))
-    import alike_pairs
+    import made_pairs
 
-    points = getattr(alike_pairs.make("stairs", 62), end)
-    return points[np.abs(points[:, 2]) < 2.5]
+    pair = made_pairs.make("stairs", 62)
+    return [points[np.abs(points[:, 2]) < 2.5] for points in (pair.source, pair.target)]
 
 
-def sweeps(name):
-    """One of six sweeps of a made drive, or all, aligned."""
+def drive():
+    """A sweep of a made drive, and six aligned."""
     from snake_training.data.sensors import write_drives
 
     write_drives(WORK / "drive", drives=1, sweeps=6, step=5.0, seed=2)
-    if name == "sweep":
-        return np.load(WORK / "drive/drive002_0.npy")
-    import snake_rs
-
-    run(f"snake-cli align {WORK}/drive --merged {WORK}/merged.ply")
-    return np.asarray(snake_rs.read_points(WORK / "merged.ply"))
+    run("snake-cli", "align", WORK / "drive", "--merged", WORK / "merged.ply")
+    merged = np.asarray(snake_rs.read_points(WORK / "merged.ply"))
+    return {"sweep": np.load(WORK / "drive/drive002_0.npy"), "street": merged}
 
 
 def aerial():
     """A crop of an aerial scan of a made street."""
     from snake_training.data.sensors import scene_cloud
 
-    return scene_cloud(np.random.default_rng(3))[1]
+    return scene_cloud(np.random.default_rng(3))[1].astype(np.float32)
 
 
-def an_object(name, data):
-    """The points of an object of the corpus."""
-    rows = {row["name"]: number for number, row in enumerate(json.loads((data / "objects/val/index.json").read_text()))}
-    return np.load(data / "objects/val/points.npy", mmap_mode="r")[rows[name]] / np.float32(32767)
+def objects(data):
+    """The objects of the picture by name."""
+    numbers = {row["name"]: number for number, row in enumerate(json.loads((data / "index.json").read_text()))}
+    points = np.load(data / "points.npy", mmap_mode="r")
+    return {name: points[numbers[full]] / np.float32(32767) for name, full in OBJECTS.items()}
 
 
-def a_fragment(name, data):
-    """A fragment of a scene."""
-    (path,) = (data / "scenes").glob(f"*/{name}.npy")
-    return np.load(path)
-
-
-def many_fragments(data):
+def rooms(scenes):
     """Every tenth fragment of the training scenes, 20 of them, 8 m apart."""
-    paths = sorted((data / "scenes/train").glob("*.npy"))[::10][:20]
+    paths = sorted(scenes.glob("train/*.npy"))[::10][:20]
     return np.concatenate([np.load(path) + (8.0 * (i % 5), 8.0 * (i // 5), 0) for i, path in enumerate(paths)])
 
 
-MADE = {
-    "facade": partial(facade, 0), "facade_moved": partial(facade, 3.0), "stairs": partial(stairs, "target"), "stairs_above": partial(stairs, "source"),
-    "sweep": partial(sweeps, "sweep"), "street": partial(sweeps, "street"), "aerial": aerial,
-}  # fmt: skip
-NAMES = dict(
-    chair="Chair_1", armchair="Chair_3", stool="painted_wooden_stool_1k", skull="Skull", bolt="factory_bolt_m20_loose",
-    windturbine="windturbine_tall_fan", cat="cat", bed="bedDouble",
-)  # fmt: skip
-READ = {name: partial(an_object, NAMES[name]) for name in OBJECTS} | {
-    "office": partial(a_fragment, OFFICE.format(6)), "corner": partial(a_fragment, OFFICE.format(20)),
-    "overlapping": partial(a_fragment, OFFICE.format(8)), "overlapped": partial(a_fragment, OFFICE.format(2)),
-    "tabletop": partial(a_fragment, "tabletop_learn__00"), "room": partial(a_fragment, "7-scenes-redkitchen__47"),
-    "rooms": many_fragments,
-}  # fmt: skip
+def page(out):
+    """The page of the sample, as Chromium shows it."""
+    if not shutil.which("chromium"):
+        raise MissingError("Chromium is not installed")
+    run("snake-cli", "view", PLANE, "-o", WORK / "plane.html")
+    flags = ["--no-sandbox", "--headless", "--log-level=3", "--enable-unsafe-swiftshader", "--window-size=960,580"]
+    run("chromium", *flags, f"--screenshot={out}", WORK / "plane.html")
 
 
-def run(command):
-    """Runs a command of ours or Chromium."""
-    print(command, flush=True)
-    words = [sys.executable if word == "python" else word for word in command.split()]
-    subprocess.run(words, cwd=DOCS.parent, check=True, stdout=subprocess.DEVNULL)
+def run(*words):
+    """Runs a command in the repository."""
+    print(*words, flush=True)
+    subprocess.run(list(map(str, words)), cwd=DOCS.parent, check=True, stdout=subprocess.DEVNULL)
 
 
-def make(name, data):
-    """Makes a picture; returns why not, if what it needs is missing."""
-    commands, files = PICTURES[name], {}
-    needed = [cloud for cloud in MADE | READ if any(f"{{{cloud}}}" in command for command in commands)]
-    if data is None and any(cloud in READ for cloud in needed):
-        return "it shows data: give --data"
-    if any(command.startswith("chromium") for command in commands) and not shutil.which("chromium"):
-        return "Chromium is not installed"
-    for cloud in needed:
-        files[cloud] = WORK / f"{cloud}.npy"
-        np.save(files[cloud], (MADE[cloud]() if cloud in MADE else READ[cloud](data)).astype(np.float32))
-    for command in commands:
-        run(command.format(out=DOCS / name, **files))
-    return ""
+def pictures(data):
+    """What makes each picture, by its name."""
+
+    def folder(name):
+        if data is None:
+            raise MissingError("it shows data: give --data")
+        return data / name
+
+    def fragment(name):
+        (path,) = folder("scenes").glob(f"*/{name}.npy")
+        return np.load(path)
+
+    plane, office = np.asarray(snake_rs.read_points(PLANE)), lambda number: fragment(OFFICE.format(number))
+    pair = lambda name, *clouds, **words: save(list(answers(*clouds, **words)), name, colours=16)
+    two = lambda name, named, *words, **others: save(list(keypoints(named, *words, 2, **others)), name, 2)
+    return {
+        "view.png": page,
+        "gallery/field.png": lambda out: run("snake-cli", "field", PLANE, "-o", out),
+        "gallery/objects.png": lambda out: save(
+            list(keypoints(objects(folder("objects/val")), "y", 4, (30, 20), model="compact")), out
+        ),
+        "gallery/first.png": lambda out: two(out, {"plane": plane, "office": office(6)}, "z camera"),
+        "gallery/rooms.png": lambda out: two(out, {"office": office(6), "corner": office(20)}, "camera"),
+        "gallery/street.png": lambda out: two(out, drive(), "z", view=(60, 35), radius=30),
+        "gallery/aerial.png": lambda out: two(
+            out, {"aerial": aerial(), "tabletop": fragment("tabletop_learn__00")}, "z camera", view=(15, 60)
+        ),
+        "gallery/facade.png": lambda out: pair(out, facade(3.0), facade(0.0), hypotheses=3),
+        "gallery/stairs.png": lambda out: pair(out, *stairs(), hypotheses=2, axes=(0, 2)),
+        "gallery/map.png": lambda out: pair(
+            out, fragment("7-scenes-redkitchen__47"), rooms(folder("scenes")), map_voxel=0.05
+        ),
+        "gallery/overlap.png": lambda out: pair(out, office(8), office(2)),
+    }
 
 
 def main():
@@ -151,9 +224,12 @@ def main():
     parser.add_argument("--data", type=Path, help="folder of objects and scenes")
     arguments = parser.parse_args()
     WORK.mkdir(parents=True, exist_ok=True)
-    for name in arguments.names or PICTURES:
-        if reason := make(name, arguments.data):
-            print(f"{name} stays as it is: {reason}")
+    makers = pictures(arguments.data)
+    for name in arguments.names or makers:
+        try:
+            makers[name](DOCS / name)
+        except MissingError as error:
+            print(f"{name} stays as it is: {error}")
 
 
 if __name__ == "__main__":

@@ -1,178 +1,237 @@
-"""Registration beside Open3D and KISS-Matcher: recall on indoor scenes, objects and sweeps, seconds a pair, verdicts.
+"""Registration beside Open3D and KISS-Matcher: how often each is right, and seconds a pair, ICP included.
 
-    make bench-registration SCENES=FOLDER OBJECTS=FOLDER [PARTS="speed verdict"]
+    make bench-registration SCENES=FOLDER OBJECTS=FOLDER
 
-FOLDER of scenes has `train` and `val`, each with clouds (.npy) and `pairs.json`; that of objects has `val/points.npy`
-(N, P, 3). Parts without their folder are left out; the sweeps of a simulated LiDAR (made_pairs.py) need none. Results are
-kept in the file of `--cache` as they come, so that a run that was interrupted continues.
+FOLDER of scenes has clouds (.npy) and `pairs.json`, that of objects `points.npy` (N, P, 3), a row for each; the sweeps of a simulated
+LiDAR are made. Results are kept in the file of `--results` as they come: what is there does not run again.
 """
 
 import argparse
-import subprocess
-import sys
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
-import made_pairs
 import numpy as np
-import registration_runs as runs
-import registration_speed
-import scene_pairs
+from made_pairs import box, errors, lidar
+from scipy.spatial import cKDTree
+from tqdm import tqdm
 
-TIMED = [runs.OURS, "kiss/0.05", "ransac/0.05"]
-CORES = (1, 2)
+from snake_training.data.solids import Solids, about_axis, scan
+from snake_training.data.worlds import any_turn
 
-
-def tasks(pairs: list[scene_pairs.Pair]) -> list[runs.Task]:
-    return [runs.Task(pair.name, pair.clouds) for pair in pairs]
-
-
-def is_right(pair: scene_pairs.Pair, result: dict) -> bool:
-    return pair.t_target_source is not None and scene_pairs.is_right(np.array(result["refined"]), pair.t_target_source)
+# The peers have voxels of 3, 5 and 8 cm: objects are 4 m across, and sweeps are in units of 10 m.
+METHODS = ["snake-rs", *(f"{name}/{size}" for size in (0.03, 0.05, 0.08) for name in ("kiss", "ransac", "fgr"))]
+METHODS += ["ransac/0.05/oriented", "fgr/0.05/oriented"]
+DIAMETER, UNIT = 4.0, 10.0
 
 
-def table(head: list[str], rows: list[list[str]]) -> None:
-    for row in [head, ["---"] * len(head), *rows]:
-        print("| " + " | ".join(row) + " |")
+class Pair(NamedTuple):
+    """A name, a group of the table, two clouds (N, 3) when they are asked for, and whether a transform (4, 4) is right."""
+
+    name: str
+    group: str
+    clouds: Callable[[], tuple[np.ndarray, np.ndarray]]
+    is_right: Callable[[np.ndarray], bool]
 
 
-def print_recall(pairs: list[scene_pairs.Pair], methods: list[str], found: dict) -> None:
-    classes = {"0.5 and more": (0.5, 2), "0.3 to 0.5": (0.3, 0.5), "0.3 and more": (0.3, 2), "0.1 to 0.3": (0, 0.3)}
-    rows = []
-    for method in methods:
-        shares = []
-        for low, high in classes.values():
-            right = [is_right(pair, found[pair.name, method]) for pair in pairs if low <= pair.overlap < high]
-            shares.append(f"{np.mean(right):.3f}" if right else "")
-        rows.append([method, *shares])
-    table(["method", *classes], rows)
+def within(truth: np.ndarray, degrees: float, metres: float) -> Callable[[np.ndarray], bool]:
+    return lambda transform: bool(np.all(np.array(errors(transform, truth)) <= (degrees, metres)))
 
 
-def print_made(pairs: list[made_pairs.MadePair], methods: list[str], found: dict) -> None:
-    """Recall on pairs that are made from other data; a transform counts as in `MadePair.is_right`."""
-    rows = []
-    for method in methods:
-        right = [pair.is_right(np.array(found[pair.name, method]["refined"])) for pair in pairs]
-        rows.append([method, f"{np.mean(right):.3f}"])
-    table(["method", "right"], rows)
+def scenes(folder: Path) -> Iterator[Pair]:
+    """The published pairs, right within 15 degrees and 0.3 m."""
+    for row in json.loads((folder / "pairs.json").read_text()):
+        files = [folder / f"{row[end]}.npy" for end in ("source", "target")]
+        low = max(limit for limit in (0.1, 0.3, 0.5) if row["overlap"] >= limit or limit == 0.1)
+        is_right = within(np.array(row["T"]), 15, 0.3)
+        clouds = lambda files=files: tuple(map(np.load, files))
+        yield Pair(f"{row['source']}>{row['target']}", f"overlap from {low}", clouds, is_right)
 
 
-def print_speed(pairs: list[scene_pairs.Pair], methods: list[str], found: dict) -> None:
-    def median(method: str, cores: int) -> str:
-        seconds = [found[registration_speed.name(pair.name, cores), method]["seconds"] for pair in pairs]
-        return f"{np.median(seconds):.2f}"
-
-    rows = [[method, *(median(method, cores) for cores in CORES)] for method in methods]
-    table(["method", *(f"seconds, {cores} core{'s' * (cores > 1)}" for cores in CORES)], rows)
-
-
-def print_verdicts(pairs: list[scene_pairs.Pair], methods: list[str], found: dict) -> None:
-    """The share of right results above a threshold that 0, 1, 2, 3 and 5 wrong ones pass."""
-    allowed, rows = (0, 1, 2, 3, 5), []
-    for method in methods:
-        right = np.array([is_right(pair, found[pair.name, method]) for pair in pairs])
-        scores = np.array([found[pair.name, method]["score"] for pair in pairs])
-        wrong = np.sort(scores[~right])[::-1]
-        shares = []
-        for count in allowed:
-            threshold = wrong[count] if count < len(wrong) else -np.inf
-            shares.append(f"{np.mean(scores[right] > threshold):.2f}" if right.any() else "")
-        rows.append([method, str(right.sum()), str(len(wrong)), *shares])
-    table(["method", "right", "wrong", *(f"{count} accepted" for count in allowed)], rows)
-
-
-class Bench:
-    """The parts of the benchmark, by the names of `--parts`."""
-
-    def __init__(self, arguments: argparse.Namespace):
-        self.arguments = arguments
-        self.methods = arguments.methods or [runs.OURS, *runs.PEERS]
-
-    def chosen(self, methods: list[str]) -> list[str]:
-        return [method for method in methods if method in self.methods]
-
-    def scenes(self, split: str, count: int | None = None) -> list[scene_pairs.Pair]:
-        pairs = scene_pairs.overlapping(self.arguments.scenes, split)
-        return pairs if count is None else scene_pairs.subset(pairs, count)
-
-    def recall(self, split: str, count: int | None) -> None:
-        pairs = self.scenes(split, count)
-        found = runs.results(f"recall, {split}", tasks(pairs), self.methods, self.arguments.cache)
-        print(f"\n{split}, {len(pairs)} pairs: right within 15 degrees and 0.3 m, by overlap\n")
-        print_recall(pairs, self.methods, found)
-
-    def made(self, label: str, rule: str, pairs: list[made_pairs.MadePair]) -> None:
-        made = [runs.Task(pair.name, lambda pair=pair: (pair.source, pair.target)) for pair in pairs]
-        found = runs.results(label, made, self.methods, self.arguments.cache)
-        print(f"\n{label}, {len(pairs)} pairs: {rule}\n")
-        print_made(pairs, self.methods, found)
-
-    def validation(self) -> None:
-        self.recall("val", None)
-
-    def training(self) -> None:
-        self.recall("train", self.arguments.train_pairs)
-
-    def objects(self) -> None:
-        pairs = made_pairs.objects(self.arguments.objects, self.arguments.made_pairs)
-        rule = "the mean distance to the nearest point of the object is below 2 % of the diameter"
-        self.made("parts of objects", rule, pairs)
-
-    def sweeps(self) -> None:
-        pairs = made_pairs.sweeps(self.arguments.made_pairs)
-        self.made("sweeps 10 m apart", "right within 5 degrees and 0.6 m", pairs)
-
-    def speed(self) -> None:
-        arguments, methods = self.arguments, self.chosen(TIMED)
-        script = Path(registration_speed.__file__)
-        count = min(arguments.speed_pairs, len(self.scenes("val")))
-        for cores in CORES:
-            options = ["--cores", str(cores), "--pairs", str(count), "--cache", str(arguments.cache)]
-            command = [sys.executable, str(script), str(arguments.scenes), *options, "--methods", *methods]
-            subprocess.run(command, check=True)
-        print(f"\nseconds a pair, median of {count} validation pairs in alternation, ICP included\n")
-        print_speed(self.scenes("val", count), methods, runs.load(arguments.cache))
-
-    def verdict(self) -> None:
-        overlapping = self.scenes("val")
-        pairs = overlapping + scene_pairs.not_overlapping(self.arguments.scenes, "val", len(overlapping))
-        methods = self.chosen(TIMED)
-        found = runs.results("verdict", tasks(pairs), methods, self.arguments.cache)
-        print(
-            "\nverdicts on the validation pairs and as many that do not overlap: right results accepted with N wrong ones\n"
-        )
-        print_verdicts(pairs, methods, found)
+def objects(folder: Path, count: int) -> Iterator[Pair]:
+    """Two parts of an object, each cut by a plane that leaves 30 to 70 % of its own half of the points, any rotation. At least 0.3 of the
+    source is within 2 % of the diameter of the target. A right transform moves its points so near to any point of the object (ADD-S)."""
+    stored, rng, limit = np.load(folder / "points.npy", mmap_mode="r"), np.random.default_rng(0), 0.02 * DIAMETER
+    for index in rng.permutation(len(stored)):
+        points = rng.permutation(np.asarray(stored[index], float))
+        points -= points.mean(axis=0)
+        points *= DIAMETER / (2 * np.linalg.norm(points, axis=1).max())
+        parts = []
+        for half in (points[::2], points[1::2]):
+            height = half @ any_turn(rng)[0]
+            parts.append(half[height < np.quantile(height, rng.uniform(0.3, 0.7))].astype("f4"))
+        if np.mean(cKDTree(parts[1]).query(parts[0])[0] < limit) < 0.3:
+            continue
+        truth = np.eye(4)
+        truth[:3, :3], truth[:3, 3] = any_turn(rng), rng.uniform(-2, 2, 3)
+        source, target = parts[0], moved(truth, parts[1]).astype("f4")
+        tree, whole = cKDTree(moved(truth, points[::4])), points[::4]
+        is_right = lambda found, tree=tree, whole=whole: bool(tree.query(moved(found, whole))[0].mean() < limit)
+        yield Pair(f"object {index}", "objects", lambda source=source, target=target: (source, target), is_right)
+        count -= 1
+        if count == 0:
+            return
 
 
-# The data that each part needs.
-PARTS = {
-    "validation": "scenes",
-    "training": "scenes",
-    "objects": "objects",
-    "sweeps": None,
-    "speed": "scenes",
-    "verdict": "scenes",
-}
+def moved(transform: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def sweeps(count: int) -> Iterator[Pair]:
+    """Sweeps from two positions 10 m apart along a street; the heading is random and the tilt up to 2 degrees."""
+    for index in range(count):
+        rng = np.random.default_rng([0, index])
+        world, clouds, poses = street(rng), [], []
+        for x in (-5.0, 5.0):
+            heading, (roll, pitch) = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(-2, 2, 2))
+            u, _, v = np.linalg.svd(about_axis(2, heading) @ [[1, 0, pitch], [0, 1, -roll], [-pitch, roll, 1]])
+            poses.append(np.eye(4))
+            poses[-1][:3, :3], poses[-1][:3, 3] = u @ v, [x, rng.uniform(-1.5, 1.5), 1.8]
+            cloud = scan(world, poses[-1], lidar(64, 900, -24.8, 2), 0.02, 80.0, rng)
+            clouds.append((cloud / UNIT).astype("f4"))
+        truth = np.linalg.inv(poses[1]) @ poses[0]
+        truth[:3, 3] /= UNIT
+        yield Pair(f"sweep {index}", "sweeps", lambda clouds=clouds: clouds, within(truth, 5, 0.6 / UNIT))
+
+
+def street(rng: np.random.Generator) -> Solids:
+    """A street along the x axis in metres: buildings, cars and poles on z = 0."""
+    world = Solids()
+    for side in (-1, 1):
+        x = -90.0
+        while x < 100:
+            length, setback, depth, height = rng.uniform([8, 6, 6, 4], [25, 12, 15, 18])
+            box(world, [x + length / 2, side * (setback + depth / 2), height / 2], [length, depth, height])
+            x += length + rng.uniform(0, 8)
+        for at in rng.uniform(-80, 90, 12):
+            box(world, [at + 2.1, side * rng.uniform(3, 5), 0.75], [4.2, 1.8, 1.5])
+        for at in rng.uniform(-80, 90, 10):
+            box(world, [at + 0.15, side * 5.5, 3], [0.3, 0.3, 6])
+    box(world, [0, 0, -0.5], [400, 400, 1])
+    return world
+
+
+def snake_rs(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    import snake_rs
+
+    try:
+        return snake_rs.register(source, target).t_target_source
+    except ValueError:  # nothing fits
+        return np.eye(4)
+
+
+def kiss(source: np.ndarray, target: np.ndarray, voxel_size: float) -> np.ndarray:
+    """KISS-Matcher with its defaults."""
+    import kiss_matcher
+
+    matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(voxel_size))
+    solution, transform = matcher.estimate(list(source), list(target)), np.eye(4)
+    transform[:3, :3], transform[:3, 3] = solution.rotation, solution.translation
+    return transform
+
+
+def reduced(points: np.ndarray, voxel_size: float, is_oriented: bool = False):
+    """A cloud of Open3D of voxels with normals."""
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud = cloud.voxel_down_sample(voxel_size)
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=2 * voxel_size, max_nn=30))
+    if is_oriented:
+        cloud.orient_normals_towards_camera_location(np.zeros(3))
+    return cloud
+
+
+def open3d_fpfh(name: str, source: np.ndarray, target: np.ndarray, voxel_size: float, is_oriented: bool) -> np.ndarray:
+    """FPFH with RANSAC or with fast global registration, by the options of Open3D's tutorial."""
+    import open3d
+
+    api = open3d.pipelines.registration
+    clouds = [reduced(points, voxel_size, is_oriented) for points in (source, target)]
+    search = open3d.geometry.KDTreeSearchParamHybrid(radius=5 * voxel_size, max_nn=100)
+    features = [api.compute_fpfh_feature(cloud, search) for cloud in clouds]
+    open3d.utility.random.seed(0)
+    if name == "fgr":
+        option = api.FastGlobalRegistrationOption(maximum_correspondence_distance=0.5 * voxel_size)
+        return api.registration_fgr_based_on_feature_matching(*clouds, *features, option).transformation
+    distance = 1.5 * voxel_size
+    checkers = [api.CorrespondenceCheckerBasedOnEdgeLength(0.9), api.CorrespondenceCheckerBasedOnDistance(distance)]
+    estimation, criteria = api.TransformationEstimationPointToPoint(False), api.RANSACConvergenceCriteria(100000, 0.999)
+    return api.registration_ransac_based_on_feature_matching(
+        *clouds, *features, True, distance, estimation, 3, checkers, criteria
+    ).transformation
+
+
+def icp(source: np.ndarray, target: np.ndarray, rough: np.ndarray) -> np.ndarray:
+    """30 steps of point-to-plane ICP on 5 cm voxels, after each peer."""
+    import open3d
+
+    api, clouds = open3d.pipelines.registration, [reduced(points, 0.05) for points in (source, target)]
+    estimation, criteria = api.TransformationEstimationPointToPlane(), api.ICPConvergenceCriteria(max_iteration=30)
+    return api.registration_icp(*clouds, 0.075, rough, estimation, criteria).transformation
+
+
+def run(method: str, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The transform of a method: its name, or that of a peer, its voxel size and options."""
+    name, *options = method.split("/")
+    if name == "snake-rs":
+        return snake_rs(source, target)
+    size, is_oriented = float(options[0]), "oriented" in options
+    rough = kiss(source, target, size) if name == "kiss" else open3d_fpfh(name, source, target, size, is_oriented)
+    return icp(source, target, rough)
+
+
+def results(pairs: list[Pair], methods: list[str], file: Path, cores: int) -> dict[tuple[str, str], dict]:
+    """What each method makes of each pair; methods take turns."""
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    known = {(row["pair"], row["method"]): row for row in rows if row["cores"] == cores}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a") as out:
+        for pair in tqdm(pairs, mininterval=1):
+            for method in methods:
+                if (pair.name, method) in known:
+                    continue
+                clouds, start = pair.clouds(), time.perf_counter()
+                transform = run(method, *clouds).tolist()
+                row = {"seconds": time.perf_counter() - start, "transform": transform}
+                known[pair.name, method] = row
+                out.write(json.dumps({"pair": pair.name, "method": method, "cores": cores} | row) + "\n")
+                out.flush()
+    return known
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=Path, help="folder of scenes")
     parser.add_argument("--objects", type=Path, help="folder of objects")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="these only [default: all]")
-    parser.add_argument("--methods", nargs="+", help="these only, such as snake-rs kiss/0.05 [default: all]")
-    parser.add_argument("--cache", type=Path, default=Path("target/bench-registration.jsonl"))
-    parser.add_argument("--train-pairs", type=int, default=140, help="pairs of the fixed random order [default: 140]")
-    parser.add_argument("--made-pairs", type=int, default=20, help="pairs of objects, and of sweeps [default: 20]")
-    parser.add_argument("--speed-pairs", type=int, default=10, help="pairs that are timed [default: 10]")
+    parser.add_argument("--made", type=int, default=20, help="pairs of objects, and of sweeps [default: 20]")
+    parser.add_argument("--methods", nargs="+", default=METHODS, help="some of " + " ".join(METHODS))
+    parser.add_argument("--cores", type=int, default=os.cpu_count(), help="cores of each [default: all]")
+    parser.add_argument("--results", type=Path, default=Path("target/bench-registration.jsonl"))
     arguments = parser.parse_args()
-    bench = Bench(arguments)
-    for part in arguments.parts:
-        needed = PARTS[part]
-        if needed and getattr(arguments, needed) is None:
-            print(f"\n{part}: left out, it needs --{needed} FOLDER")
-        else:
-            getattr(bench, part)()
-        sys.stdout.flush()
+    # Before the libraries start their threads: each counts the cores that it may use.
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: arguments.cores])
+    os.environ["OMP_NUM_THREADS"] = str(arguments.cores)
+    pairs = [
+        *(scenes(arguments.scenes) if arguments.scenes else ()),
+        *(objects(arguments.objects, arguments.made) if arguments.objects else ()),
+        *sweeps(arguments.made),
+    ]
+    found = results(pairs, arguments.methods, arguments.results, arguments.cores)
+    groups = sorted({pair.group: [other for other in pairs if other.group == pair.group] for pair in pairs}.items())
+    print("| right, median seconds | " + " | ".join(f"{name} ({len(some)})" for name, some in groups) + " |")
+    print("|---" * (len(groups) + 1) + "|")
+    for method in arguments.methods:
+        cells = []
+        for _, some in groups:
+            rows = [(pair, found[pair.name, method]) for pair in some]
+            share = np.mean([pair.is_right(np.array(row["transform"])) for pair, row in rows])
+            cells.append(f"{share:.3f}, {np.median([row['seconds'] for _, row in rows]):.2f}")
+        print(f"| {method} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":
