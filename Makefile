@@ -40,11 +40,11 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo fmt --check
 	cargo clippy --release --all-targets
 	cargo test --release $(QUICK) --lib -- --skip control::tests --skip tiles_of_any_size
-	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs:: features::
+	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs::
 
-# All packages but one, whose features would change those of all others, and with all formats. The Python module by itself has the
+# All packages but one, whose features would change those of all others. The Python module by itself has the
 # same features: each crate is compiled once. tests/test_embedding.py runs what is compiled here.
-PACKAGES := --workspace --exclude snake-interop --features snake-keypoints/full
+PACKAGES := --workspace --exclude snake-interop
 NIGHTLY = -m "not nightly"
 TEST := test test-full
 $(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -85,7 +85,7 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 
 check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stubs, documentation, other crates, packages, the wheel
 	cargo fmt --check
-	cargo clippy --release --workspace --all-targets --features snake-keypoints/full
+	cargo clippy --release --workspace --all-targets
 	cargo test --release -p snake-interop
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs samples
@@ -141,15 +141,15 @@ models/paper.safetensors: $(sort $(wildcard models/paper.safetensors.?))  ## the
 release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
 	$(PYTHON) tools/release_model.py $(NAME)
 
-results:  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
-	python3 docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(BODIES),--bodies $(BODIES)) $(if $(SURFACES),--surfaces $(SURFACES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
+results: module  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
+	$(PYTHON) docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(BODIES),--bodies $(BODIES)) $(if $(SURFACES),--surfaces $(SURFACES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
 
 pictures: module  ## every picture of the pages: make pictures DATA=FOLDER (objects/ and scenes/); the page needs Chromium
 	cargo build --release --bin snake-cli
 	$(PYTHON) -m pip install --quiet pillow
 	PATH="$(CURDIR)/target/release:$$PATH" $(PYTHON) docs/pictures.py $(if $(DATA),--data $(DATA))
 
-dist: manylinux  ## target/dist: an archive of the program with completions, manual and licences, and the wheel
+dist: manylinux  ## target/dist: an archive of the program with completions and licences, and the wheel
 	python3 tools/dist.py
 	cp "$$(ls -t target/wheels/snake_rs-*manylinux*.whl | head -n 1)" target/dist
 
@@ -180,7 +180,7 @@ wheel-test: wheel  # installs the wheel in a new environment without Rust, and d
 		"$$(ls -t target/wheels/snake_rs-*-cp310-abi3-*.whl | head -n 1)"
 	cd target && $(WITHOUT_RUST) python -c "import numpy, snake_rs; \
 		print(snake_rs.detect(numpy.random.default_rng(0).normal(size=(2000, 3))))"
-	cd target && $(WITHOUT_RUST) snake-cli detect ../samples/plane.ply -o wheel-test/keypoints.parquet --max-keypoints 3
+	cd target && $(WITHOUT_RUST) snake-cli detect ../samples/plane.ply -o wheel-test/keypoints.laz --max-keypoints 3
 
 fuzz: SECONDS ?= 600
 fuzz:  ## search for bytes that break a reader, ten minutes for each: make fuzz SECONDS=60; needs cargo install cargo-fuzz

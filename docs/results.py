@@ -1,37 +1,38 @@
 """Makes `results.md` and its curves: the built-in models and the classical detectors on objects and on real scenes.
 
-Run from the repository's root, by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .."`; an
-interrupted run goes on where it was. The part of the page whose folder is not given stays as it is. Needs nothing but Python; the part on
-reconstruction also the packages of `training` and Open3D.
+Run from the repository's root, by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .."`; methods that
+are evaluated already are not evaluated again. The part of the page whose folder is not given stays as it is.
 """
 
 import argparse
-import json
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
+
+from snake_training.evaluation.__main__ import evaluate
+from snake_training.evaluation.tables import markdown, pivot
+
 RUNS = Path("target/results")
 PAGE = Path("docs/results.md")
 # The coverage of all methods: in units of the objects' radius, and in metres.
-OBJECT_COVERAGE = "0.14"
-ROOM_COVERAGE = "0.197"
+OBJECT_COVERAGE, ROOM_COVERAGE = "0.14", "0.197"
 # Pairs of scenes, evenly spaced, in repeatability, and in registration beyond the first folder of scenes.
-REPEATABILITY_PAIRS = 30
-MORE_PAIRS = 60
-CLASSICAL = "surface-variation,iss,harris3d,sift3d,fps,random"
-THRESHOLDS = "0.05", "0.1"
-BODIES = "annotated", "posed", "bent"
+REPEATABILITY_PAIRS, MORE_PAIRS = "30", "60"
+OURS, CLASSICAL = ("compact", "standard"), ("surface-variation", "iss", "harris3d", "sift3d", "fps", "random")
+CORNERS = tuple(f"{model}:prefer=corners" for model in OURS)
 PAPER_MODEL = Path("models/paper.safetensors")
+UNDISTURBED = "--downsample", "1", "--noise", "0"
 
 HEADINGS = "Objects", "Landmarks", "Semantic consistency", "Reconstruction", "Scenes"
 
 INTRODUCTION = """# Results
 
-Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."` (`snake-cli eval repeatability --help` lists the
-layouts): do not edit it.
+Made by `make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SCENES="FOLDER .."`
+(`python -m snake_training.evaluation repeatability --help` lists the layouts): do not edit it.
 
 Objects: 79 that chose nothing (`judge` of `python -m snake_training.make halves`). Rooms: 3DMatch, without the fifth of its pairs that
 overlap by less than a tenth or do not fit within 2 cm; published figures are of all pairs.
@@ -39,66 +40,53 @@ overlap by less than a tenth or do not fit within 2 cm; published figures are of
 The table of the README:
 
 ```sh
-snake-cli eval repeatability OBJECTS --model compact --methods snake,snakex4,iss,surface-variation,sift3d \\
-    --coverage 0.14 --epsilon 0.04 --downsample 1 --noise 0    # snakex4 is standard
-snake-cli eval repeatability SCENES --model scenes --methods snake,iss,sift3d --limit 30 --coverage 0.197 --epsilon 0.16 \\
-    --table-epsilon 0.16 --downsample 1,8 --noise 0
-snake-cli eval repeatability SWEEPS --model scenes --methods snake,iss,sift3d --max-keypoints 128 --coverage 3 --epsilon 0.5 \\
+python -m snake_training.evaluation repeatability OBJECTS --methods compact standard iss surface-variation sift3d --coverage 0.14 \\
+    --epsilon 0.04 --downsample 1 --noise 0
+python -m snake_training.evaluation repeatability SCENES --methods scenes iss sift3d --limit 30 --coverage 0.197 --epsilon 0.16 \\
+    --downsample 1 8 --noise 0
+python -m snake_training.evaluation repeatability SWEEPS --methods scenes iss sift3d --max-keypoints 128 --coverage 3 --epsilon 0.5 \\
     --num-points 30000 --downsample 1 --noise 0
 ```
 """
 
 
-def evaluate(name: str, metric: str, *arguments: str) -> tuple[dict, str]:
-    """Runs an evaluation (or what is left of it): its report, and its tables in Markdown."""
-    output = RUNS / name
-    command = ["cargo", "run", "--release", "--quiet", "--bin", "snake-cli", "--", "eval", metric]
-    subprocess.run([*command, *arguments, "-o", str(output)], check=True, stdout=subprocess.DEVNULL)
-    report = json.loads((output / f"{metric}.json").read_text())
-    return report, one_number_a_cell((output / f"{metric}.md").read_text())
+def run(name: str, *words: str) -> pd.DataFrame:
+    """The table of an evaluation, kept below RUNS."""
+    return evaluate([*words, "-o", str(RUNS / name)])
 
 
-def one_number_a_cell(tables: str) -> str:
-    """The tables without standard deviations, which are in the reports."""
-    return re.sub(r" ± standard deviation over \w+| ±\d+\.\d+", "", tables)
+def units(table: pd.DataFrame) -> int:
+    """The number of pairs, shapes or scenes."""
+    return table["unit"].nunique()
 
 
-def joined(tables: str, beyond: str = "") -> str:
-    """The tables of one evaluation of repeatability as one: a row a method, views that are not disturbed once.
-
-    Of the figures beyond chance, those at one ε."""
-    columns: dict[str, dict[str, str]] = {}
-    for table in re.findall(r"(?:^\|.*\n?)+", tables, re.MULTILINE):
-        head, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines())
-        for i, name in enumerate(head):
-            is_left_out = name.startswith("beyond ") and name != f"beyond ε {beyond}"
-            kept_out = ("method", "keypoints", "1 in 1", "σ 0", *([] if beyond else ["on flat places"]))
-            if not is_left_out and name not in kept_out:
-                columns[name] = {row[0]: row[i] for row in rows}
-    methods = list(next(iter(columns.values())))
-    rows = [["method", *columns]]
-    rows += [[method, *(cells.get(method, "-") for cells in columns.values())] for method in methods]
-    head, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
-    return "".join([head, f"|{'---|' * (1 + len(columns))}\n", *lines])
+def repeatability_table(
+    table: pd.DataFrame, epsilon: tuple, of: str, swept: tuple = ("1 in 8", "σ 0.06"), beyond: bool = True
+) -> str:
+    """Repeatability over ε, coverage, and thinned and noisy views at the ε `of`, a row a method."""
+    columns = {f"ε {e}": ("repeatability", f"ε {e}") for e in epsilon} | {"coverage": ("coverage", "clean")}
+    columns |= {name: ("repeatability", f"ε {of}, {name}") for name in swept}
+    if beyond:
+        columns |= {f"beyond ε {of}": ("beyond chance", f"ε {of}"), "on flat places": ("on flat places", "clean")}
+    return markdown(pivot(table, columns))
 
 
-def with_corners(table: str, corners: str) -> str:
-    """A table with the rows of the same one of an evaluation with `--prefer corners`."""
-    rows = re.findall(r"^\| snake.*\n", corners, re.MULTILINE)
-    return table + "".join(re.sub(r"^\| (\w+)", r"| \1, corners", row) for row in rows)
-
-
-def objects_part(alike: tuple[dict, str], corners: str, paper_tables: str) -> str:
-    report, tables = alike
+def objects_part(folder: str, limit: tuple) -> str:
+    """The part on objects; draws its curves."""
+    views = "--downsample", "1", "8", "--noise", "0", "0.06"
+    words = "repeatability", folder, *limit, *views, "--methods"
+    methods = *OURS, *CLASSICAL, *CORNERS
+    alike = run("objects", *words, *methods, "--epsilon", "0.02", "0.04", "0.1", "--coverage", OBJECT_COVERAGE)
+    paper = run("paper", *words, *OURS, "surface-variation", "iss", "--epsilon", "0.04", "--nms-radius", "0.01")
+    shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
     return f"""## Objects
 
-Relative repeatability on {report["pairs"]} objects: the share of keypoints of one view that the other view, rotated at random and sampled
-anew, finds again within ε (in units of the object's radius), with 5000 points and the best 64 keypoints of each view. `snake` is
-`compact`, `snakex4` is `standard`, `corners` is `--prefer corners`. Coverage is the mean distance from the points to the nearest keypoint.
-Each method keeps its keypoints as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by keypoints that cluster. Thinned (1 in N) and noisy (σ) views are
-at ε 0.04:
+Relative repeatability on {units(alike)} objects: the share of keypoints of one view that the other view, rotated at random and sampled
+anew, finds again within ε (in units of the object's radius), with 5000 points and the best 64 keypoints of each view. Coverage is the mean
+distance from the points to the nearest keypoint. Each method keeps its keypoints as far apart as makes its coverage {OBJECT_COVERAGE}, so that none gains by
+keypoints that cluster. Thinned (1 in N) and noisy (σ) views are at ε 0.04:
 
-{with_corners(joined(tables, "0.04"), joined(corners, "0.04"))}
+{repeatability_table(alike, ("0.02", "0.04", "0.1"), "0.04")}
 Beyond chance, 0 is what random points of the other view would find, as many as it has keypoints. On a flat place, the least of three
 eigenvalues of the neighbourhood is below 1 % of their sum.
 
@@ -109,128 +97,161 @@ eigenvalues of the neighbourhood is below 1 % of their sum.
 The paper's suppression of 0.01 lets keypoints cluster, and then they repeat more easily: compare the coverage.
 [The paper's own figures](reproduce.md#repeatability) are of other objects.
 
-{joined(paper_tables)}"""
+{repeatability_table(paper, ("0.04",), "0.04", beyond=False)}"""
 
 
-def shares(tables: str) -> str:
-    """The table with the share of the landmarks that are found, of those of an evaluation."""
-    found = re.search(r"^Share of annotated[^\n]*\n\n(\|[^\n]*\n)+", tables, re.MULTILINE)[0]
-    return re.sub(r"^(\|.*\|)[^|]*\|$", r"\1", found, flags=re.MULTILINE)  # without the number of keypoints
-
-
-def landmarks_part(tables: str, corners: str) -> str:
+def landmarks_part(folder: str) -> str:
+    """The part on landmarks."""
+    methods = *OURS, *CLASSICAL, *CORNERS
+    found = run(
+        "landmarks",
+        "semantic",
+        folder,
+        "--coverage",
+        OBJECT_COVERAGE,
+        "--threshold",
+        "0.05",
+        "0.1",
+        "--methods",
+        *methods,
+    )
     return f"""## Landmarks
 
-200 procedural shapes that know their corners, tips and ends (`python -m snake_training.make landmarks`), all methods at the
-coverage {OBJECT_COVERAGE}. What `--prefer corners` costs stands under [objects](#objects).
+The share of the corners, tips and ends of 200 procedural shapes, which know them (`python -m snake_training.make landmarks`), that have a
+keypoint within 0.05 and 0.1, all methods at the coverage {OBJECT_COVERAGE}. What `--prefer corners` costs stands under [objects](#objects).
 
-{with_corners(shares(tables), shares(corners))}"""
-
-
-def consistency(reports: dict[str, list[dict]], *kinds: tuple[str, str, str]) -> str:
-    """A table of reports of semantic consistency, a row a method; kinds: set of bodies, figure of its reports, title of the columns."""
-    kinds = tuple(kind for kind in kinds if reports[kind[0]])
-    columns = [f"{title} {threshold}" for _, _, title in kinds for threshold in THRESHOLDS]
-    rows: dict[str, list[str]] = {}
-    for name, figure, _ in kinds:
-        for row in (row for report in reports[name] for row in report["rows"] if row["class"] is None):
-            rows.setdefault(row["method"], []).extend(f"{value:.3f}" for value in row[figure])
-    lines = [
-        f"| {' | '.join(cells)} |\n" for cells in [["method", *columns], *([name, *row] for name, row in rows.items())]
-    ]
-    return "".join([lines[0], f"|{'---|' * (1 + len(columns))}\n", *lines[1:]])
+{markdown(pivot(found, {name: ("found", f"threshold {name}") for name in ("0.05", "0.1")}))}"""
 
 
-def bodies_part(reports: dict[str, list[dict]]) -> str:
-    annotated, posed, bent = (reports[name][0]["shapes"] if reports[name] else 0 for name in BODIES)
-    kinds = ("annotated", "strict", "annotated"), ("annotated", "recall", "found"), ("posed", "strict", "posed")
+def bodies_part(folder: Path, limit: tuple) -> str:
+    """The part on bodies; a set of bent objects is there if they were made of a corpus."""
+    methods = *OURS, *CLASSICAL, *([str(PAPER_MODEL)] if PAPER_MODEL.exists() else [])
+    tables, columns = {}, {}
+    for name, metrics in {
+        "annotated": ("mIoU, strict", "found"),
+        "posed": ("mIoU, strict",),
+        "bent": ("mIoU, strict",),
+    }.items():
+        if not (folder / name).is_dir():
+            continue
+        table = run(name, "semantic", str(folder / name), "--threshold", "0.05", "0.1", *limit, "--methods", *methods)
+        tables[name] = table.assign(metric=name + table["metric"])
+        for metric in metrics:
+            title = "found" if metric == "found" else name
+            columns |= {f"{title} {t}": (name + metric, f"threshold {t}") for t in ("0.05", "0.1")}
+    table = pd.concat(tables.values()).replace({"method": {str(PAPER_MODEL): "paper"}})
+    bent = (
+        f"\n- bent: {units(tables['bent'])} pairs of a validation object and a bent, twisted copy, in the same way."
+        if "bent" in tables
+        else ""
+    )
     return f"""## Semantic consistency
 
 The mIoU of made bodies with known correspondences by the two protocols of the paper, with its suppression of 0.1 for all methods
 (`python -m snake_training.make bodies -o bodies/ --corpus CORPUS/val --bends 8`, BODIES is `bodies/`). `paper` is
 [that model](../models/README.md#paper). [The paper's own figures](reproduce.md#semantic-consistency) are of other bodies.
 
-- annotated: {annotated} shapes of 8 classes in random poses and proportions, 2048 points each, with annotated tips, ends and corners; the box
+- annotated: shapes of {units(tables["annotated"])} classes in random poses and proportions, 2048 points each, with annotated tips, ends and corners; the box
   around a shape has the diagonal 1. mIoU counts every other keypoint as false; found is the share of annotations with a keypoint. Distances
   are geodesic.
-- posed: {posed} pairs of such bodies in two poses and of proportions that differ by up to 15 %, with the same 2048 points of the surface; the
-  first has the radius 1. The best 20 keypoints of one body are carried to the other.
-{f"- bent: {bent} pairs of a validation object and a bent, twisted copy, in the same way." if bent else ""}
+- posed: {units(tables["posed"])} pairs of such bodies in two poses and of proportions that differ by up to 15 %, with the same 2048 points of the surface; the
+  first has the radius 1. The best 20 keypoints of one body are carried to the other.{bent}
 
-{consistency(reports, *kinds, ("bent", "strict", "bent"))}"""
+{markdown(pivot(table, columns))}"""
 
 
-def surfaces_part(table: str, objects: str) -> str:
+def surfaces_part(folder: str) -> str:
+    """The part on reconstruction."""
+    words = ["--methods", "middle", "level", "poisson", "--downsample", "8", "--noise", "0.03"]
+    module = [sys.executable, "-m", "snake_training.reconstruction", folder]
+    table = subprocess.run([*module, *words], check=True, stdout=subprocess.PIPE, text=True).stdout
     return f"""## Reconstruction
 
-The surface of the field of `compact` beside Open3D's Poisson reconstruction, on {objects} objects. A method sees 5000 points, or 625, or 5000
+The surface of the field of `compact` beside Open3D's Poisson reconstruction, on the objects. A method sees 5000 points, or 625, or 5000
 with noise; its mesh is compared with all 8192 points (radius 1). Accuracy is the mean distance from the mesh to the nearest point,
 completeness that from a point to the mesh, F the harmonic mean of the shares that are nearer than 0.02 and 0.05. `middle` is the default
 of `snake-cli reconstruct`, `level` the surface of the paper.
 
 ```sh
-python -m snake_training.reconstruction OBJECTS --methods middle level poisson --downsample 8 --noise 0.03
+python -m snake_training.reconstruction OBJECTS {" ".join(words)}
 ```
 
-{table}
+{table.strip()}
 """
 
 
-def surfaces(folder: str) -> str:
-    """The part on reconstruction."""
-    module = [sys.executable, "-m", "snake_training.reconstruction", folder]
-    words = ["--methods", "middle", "level", "poisson", "--downsample", "8", "--noise", "0.03"]
-    table = subprocess.run([*module, *words], check=True, stdout=subprocess.PIPE, text=True).stdout
-    return surfaces_part(table.strip(), str(len(json.loads((Path(folder) / "index.json").read_text()))))
-
-
-def registration(report: dict, tables: str) -> str:
-    scenes, pairs = len(report["scenes"]), report["pairs"]
-    found = (
-        re.search(rf"^{title}.*:\n\n(?:\|.*\n)+", tables, re.MULTILINE) for title in ("Feature", "Registration recall")
+def registration_text(table: pd.DataFrame) -> str:
+    """Two tables of the benchmark."""
+    shown = (
+        markdown(pivot(table[table["metric"] == name])) for name in ("feature matching recall", "registration recall")
     )
-    shown = "\n".join(table[0] for table in found if table)
-    return f"""{pairs} pairs of {scenes} scene{"s" * (scenes > 1)}; the reports have inlier ratios too.
-
-{shown}"""
+    return "Feature matching recall:\n\n{}\nRegistration recall, without consecutive fragments:\n\n{}".format(*shown)
 
 
-def scenes_part(rooms: tuple[dict, str], by_default: str, registrations: list[tuple[dict, str]]) -> str:
-    report, tables = rooms
-    more = "".join(f"\n### Registration, more scenes\n\n{registration(*one)}" for one in registrations[1:])
+def scenes_part(folders: list[str]) -> str:
+    """The part on rooms; draws its curves."""
+    pairs = "repeatability", folders[0], *UNDISTURBED, "--limit", REPEATABILITY_PAIRS
+    alike = run(
+        "scenes",
+        *pairs,
+        "--epsilon",
+        "0.05",
+        "0.1",
+        "0.16",
+        "--table-epsilon",
+        "0.1",
+        "--coverage",
+        ROOM_COVERAGE,
+        "--methods",
+        "scenes",
+        *CLASSICAL,
+    )
+    many = "--max-keypoints", "256", "--num-points", "1000000"
+    by_default = run(
+        "scenes-default",
+        *pairs,
+        *many,
+        "--epsilon",
+        "0.05",
+        "0.1",
+        "--table-epsilon",
+        "0.1",
+        "--methods",
+        "scenes",
+        "iss",
+        "fps",
+    )
+    shutil.copy(RUNS / "scenes/repeatability.svg", PAGE.with_name("repeatability-scenes.svg"))
+    parts = []
+    for number, folder in enumerate(folders):
+        few = "--max-keypoints", "500", "250", "100", *(("--limit", MORE_PAIRS) if number else ())
+        parts.append(
+            registration_text(
+                run(f"scenes-{number}", "registration", folder, *few, "--methods", "scenes", *CLASSICAL, "register")
+            )
+        )
+    more = "".join(f"\n### Registration, more scenes\n\n{part}" for part in parts[1:])
     return f"""## Scenes
 
-Real clouds with known transforms, in metres. `snake` is the model `scenes`, which has seen no real room.
+Real clouds with known transforms, in metres. `scenes` has seen no real room.
 
 ### Repeatability on scenes
 
-10240 points of each cloud, the best 64 keypoints, {report["pairs"]} pairs; each method at the coverage {ROOM_COVERAGE} m.
+10240 points of each cloud, the best 64 keypoints, {REPEATABILITY_PAIRS} pairs; each method at the coverage {ROOM_COVERAGE} m.
 
-{joined(tables, "0.1")}
+{repeatability_table(alike, ("0.05", "0.1", "0.16"), "0.1", ())}
 ![the same as curves](repeatability-scenes.svg)
 
-Up to 256 keypoints of all points: `snake` keeps those of a confidence of 0.21 and more. Even spacing alone lifts farthest points.
+Up to 256 keypoints of all points: `scenes` keeps those of a confidence of 0.21 and more. Even spacing alone lifts farthest points.
 
-{joined(by_default, "0.1")}
+{repeatability_table(by_default, ("0.05", "0.1"), "0.1", ())}
 ### Registration
 
 By the rules of the 3DMatch benchmark, clouds reduced to voxels of 3 cm: correspondences are mutual nearest neighbours, right within 0.1 m;
 a pair matches with more than 0.05 of them right; RANSAC (0.05 m, edges 0.9, 50 000 samples, no ICP) registers it with an RMSE of at most
-0.2 m over the overlap. [`snake-cli register`](registration.md) matches every voxel instead, and does better.
+0.2 m over the overlap. [`register`](registration.md) matches every voxel instead.
 
-{registration(*registrations[0])}{more}"""
-
-
-def bodies_reports(folder: Path, compact: list[str], methods: list[str], few: list[str]) -> list[dict]:
-    """The reports of a set of bodies, of the built-in models and of the paper's; none without the set, which needs a corpus."""
-    if not folder.is_dir() and folder.name == "bent":
-        return []
-    reports = [evaluate(folder.name, "semantic", str(folder), *compact, *methods, *few)[0]]
-    if PAPER_MODEL.exists():
-        model = ["--model", str(PAPER_MODEL), "--methods", "snake"]
-        report, _ = evaluate(f"{folder.name}-paper", "semantic", str(folder), *model, *few)
-        reports.append(report | {"rows": [row | {"method": "paper"} for row in report["rows"]]})
-    return reports
+{parts[0]}{more}"""
 
 
 def page(parts: dict[str, str], before: str) -> str:
@@ -251,69 +272,21 @@ def main() -> None:
     parser.add_argument(
         "--scenes", nargs="+", default=[], help="folders with pairs.json; of those after the first 60 pairs"
     )
-    parser.add_argument("--limit", type=int, help="so many objects, evenly spaced, instead of all")
-    arguments = parser.parse_args()
-    given = arguments.objects, arguments.landmarks, arguments.bodies, arguments.surfaces, arguments.scenes
-    if not any(given):
+    parser.add_argument("--limit", help="so many objects, evenly spaced, instead of all")
+    given = parser.parse_args()
+    limit, parts = ("--limit", given.limit) if given.limit else (), {}
+    if given.objects:
+        parts["Objects"] = objects_part(given.objects, limit)
+    if given.landmarks:
+        parts["Landmarks"] = landmarks_part(given.landmarks)
+    if given.bodies:
+        parts["Semantic consistency"] = bodies_part(Path(given.bodies), limit)
+    if given.surfaces:
+        parts["Reconstruction"] = surfaces_part(given.surfaces)
+    if given.scenes:
+        parts["Scenes"] = scenes_part(given.scenes)
+    if not parts:
         parser.error("give --objects, --landmarks, --bodies, --surfaces or --scenes FOLDER, or several of them")
-    parts, undisturbed = {}, ["--downsample", "1", "--noise", "0"]
-    methods = ["--methods", f"snake,snakex4,{CLASSICAL}"]
-    compact = ["--model", "compact"]
-    prefer_corners = ["--methods", "snake,snakex4", "--set", "prefer=corners"]
-    if arguments.objects:
-        objects = [arguments.objects, *compact, *(["--limit", str(arguments.limit)] if arguments.limit else [])]
-        views = ["--epsilon", "0.02,0.04,0.1", "--downsample", "1,8", "--noise", "0,0.06"]
-        views += ["--coverage", OBJECT_COVERAGE]
-        alike = evaluate("objects", "repeatability", *objects, *methods, *views)
-        _, corners = evaluate("objects-corners", "repeatability", *objects, *prefer_corners, *views)
-        few = [
-            "--methods",
-            "snake,snakex4,surface-variation,iss",
-            "--epsilon",
-            "0.04",
-            "--downsample",
-            "1,8",
-            "--noise",
-            "0,0.06",
-        ]
-        _, paper = evaluate("paper", "repeatability", *objects, *few, "--nms-radius", "0.01")
-        parts["Objects"] = objects_part(alike, corners, paper)
-        shutil.copy(RUNS / "objects/repeatability.svg", PAGE.with_name("repeatability.svg"))
-    if arguments.landmarks:
-        few = [arguments.landmarks, *compact, "--coverage", OBJECT_COVERAGE, "--threshold", "0.05,0.1"]
-        _, found = evaluate("landmarks", "semantic", *few, *methods)
-        _, corners = evaluate("landmarks-corners", "semantic", *few, *prefer_corners)
-        parts["Landmarks"] = landmarks_part(found, corners)
-    if arguments.bodies:
-        few = ["--threshold", ",".join(THRESHOLDS), *(["--limit", str(arguments.limit)] if arguments.limit else [])]
-        sets = {name: bodies_reports(Path(arguments.bodies) / name, compact, methods, few) for name in BODIES}
-        parts["Semantic consistency"] = bodies_part(sets)
-    if arguments.surfaces:
-        parts["Reconstruction"] = surfaces(arguments.surfaces)
-    if arguments.scenes:
-        scenes = ["--model", "scenes"]
-        scale = ["--table-epsilon", "0.1", *undisturbed, "--limit", str(REPEATABILITY_PAIRS)]
-        pairs = [arguments.scenes[0], *scenes, *scale]
-        words = ["--epsilon", "0.05,0.1,0.16", "--methods", f"snake,{CLASSICAL}", "--coverage", ROOM_COVERAGE]
-        repeatability = evaluate("scenes", "repeatability", *pairs, *words)
-        words = [
-            "--epsilon",
-            "0.05,0.1",
-            "--methods",
-            "snake,iss,fps",
-            "--max-keypoints",
-            "256",
-            "--num-points",
-            "1000000",
-        ]
-        _, by_default = evaluate("scenes-default", "repeatability", *pairs, *words)
-        registrations = []
-        for number, folder in enumerate(arguments.scenes):
-            few = ["--descriptors", "fpfh", "--max-keypoints", "500,250,100"]
-            few += ["--limit", str(MORE_PAIRS)] if number else []
-            registrations.append(evaluate(f"scenes-{number}", "registration", folder, *scenes, *few))
-        parts["Scenes"] = scenes_part(repeatability, by_default, registrations)
-        shutil.copy(RUNS / "scenes/repeatability.svg", PAGE.with_name("repeatability-scenes.svg"))
     PAGE.write_text(page(parts, PAGE.read_text() if PAGE.exists() else ""))
 
 

@@ -23,8 +23,6 @@ RULE = "=" * 80
 def crates(package: str) -> list[dict[str, str]]:
     """The crates in the wheel or in a program, of all platforms: name, version, licence and folder."""
     tree = ["cargo", "tree", "--package", package, "--edges", "normal,no-proc-macro", "--target", "all"]
-    # The program of a release has all formats.
-    tree += [] if package == WHEEL else ["--features", "full"]
     lines = subprocess.run([*tree, "--prefix", "none", "--format", "{p}"], cwd=FOLDER, capture_output=True, check=True)
     used = {tuple(line.split()[:2]) for line in lines.stdout.decode().splitlines() if line}
     metadata = ["cargo", "metadata", "--format-version", "1"]

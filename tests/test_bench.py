@@ -14,7 +14,7 @@ import made_pairs
 import registration
 import speed
 
-from snake_training.evaluate import DetectOptions
+from snake_training.detection import DetectOptions
 from snake_training.model import NetworkConfig
 
 

@@ -1,4 +1,4 @@
-"""Other programs read the keypoints of a city, GeoPandas the GeoParquet, LASzip and PDAL the LAZ, and copclib writes its COPC."""
+"""Other programs read the keypoints of a city: LASzip and PDAL the LAZ, and copclib writes its COPC."""
 
 import json
 import shutil
@@ -42,18 +42,6 @@ def found(detect):
     rows = json.loads(detect("keypoints.json").read_text())["keypoints"]
     assert len(rows) > 50
     return {column: np.array([row[column] for row in rows]) for column in rows[0]}
-
-
-def test_geopandas_reads_geoparquet(detect, found):
-    geopandas = pytest.importorskip("geopandas", reason="GeoPandas is not tested: pip install geopandas")
-    table = geopandas.read_parquet(detect("keypoints.parquet"))
-    assert table.crs.to_epsg() == 25832
-    for axis in "xyz":
-        assert np.array_equal(table[axis], found[axis]) and np.array_equal(getattr(table.geometry, axis), found[axis])
-    for name in ("saliency", "occupancy"):
-        assert table[name].dtype == np.float32 and np.array_equal(table[name], found[name].astype(np.float32))
-    assert np.array_equal(table["nearest_index"], found["nearest_index"])
-    assert table["tile"].nunique() > 1
 
 
 def test_laszip_reads_laz(detect, found):

@@ -158,7 +158,7 @@ def test_target_exists(command):
 def help_of(program: str, *kind: str) -> str:
     """The help of a module or of the script of a path, in this process: each process would import PyTorch again.
 
-    kind: of the data that `snake_training.make` makes.
+    kind: of the data that `snake_training.make` makes, or of an evaluation.
     """
     run = runpy.run_path if program.endswith(".py") else runpy.run_module
     with (
@@ -183,7 +183,7 @@ def test_options_of_python_exist(command):
         found = [folder / words[1] for folder in (ROOT, ROOT / "training") if (folder / words[1]).is_file()]
         assert found, f"{words[1]} is not in the repository"
         program = str(found[0])
-    kind = words[3:4] if program == "snake_training.make" else []
+    kind = words[3:4] if program in ("snake_training.make", "snake_training.evaluation") else []
     assert not flags or not (unknown := [flag for flag in flags if flag not in help_of(program, *kind)]), unknown
 
 
@@ -229,15 +229,6 @@ def test_python_runs(page, folder, monkeypatch, capsys):
             exec(code, names | {"snake_rs": snake_rs})
     if page == "README.md":
         assert "Keypoints(45" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if any("[options]" in b for b in blocks(page, "toml"))])
-def test_configuration_is_read(page, compiled, folder):
-    (block,) = (block for block in blocks(page, "toml") if "[options]" in block)
-    tomllib.loads(block)
-    (folder / "snake.toml").write_text(block)
-    done = subprocess.run([compiled / "snake-cli", "detect", "samples/plane.ply", "-v"], capture_output=True, text=True)
-    assert done.returncode == 0 and "scenes" in done.stderr and '"nms_radius":0.2' in done.stderr, done.stderr
 
 
 def test_rust_example_is_the_one_that_cargo_compiles():

@@ -15,10 +15,10 @@ pytest.importorskip("snake_training")
 
 from safetensors.torch import save
 
-from snake_training import evaluate
+from snake_training import detection
 from snake_training import model as reference
 from snake_training.augment import normalize
-from snake_training.evaluate import DetectOptions, candidates, detect
+from snake_training.detection import DetectOptions, candidates, detect
 from snake_training.export import write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork
 
@@ -374,7 +374,7 @@ def refinement(pair, method, steps):
         refine_method=method, refine_steps=steps, refine_step_size=2e-3, selection="reference-final-position"
     )
     queries = torch.from_numpy(random_queries(11, 500))
-    expected, _ = evaluate.refine(Recorded(), volume, queries, options)
+    expected, _ = detection.refine(Recorded(), volume, queries, options)
     found = snake_rs.steps.refine(queries, torch.stack(gradients), method, 2e-3)
     assert len(gradients) == steps
     # Positions of up to 0.7 have an error of 6e-8 in each of up to ten steps; none is shorter than 1e-5 on the whole.
@@ -388,7 +388,7 @@ def suppression(pair):
     scores = rng.integers(0, 500, 3000).astype(np.float32)  # many are equal
     order = torch.from_numpy(scores).argsort(descending=True, stable=True)
     for radius, limit in ((0.1, 3000), (0.1, 64), (0.03, 3000), (0.0, 40)):
-        expected = order[evaluate.suppress(torch.from_numpy(points)[order], radius, limit)]
+        expected = order[detection.suppress(torch.from_numpy(points)[order], radius, limit)]
         assert snake_rs.steps.suppress(points, scores, radius, limit).tolist() == expected.tolist()
 
 
@@ -447,8 +447,8 @@ CHANGES = [
     ("decoding", reference.Decoder, ("forward",), output, 0.01),
     ("decoding", reference.ResnetBlockFC, ("forward",), output, 0.01),
     ("decoding", reference, ("saliency_head",), output, 0.01),
-    *((f"{method}-{steps}", evaluate, ("refine",), step_size, 0.01) for method, steps in METHODS),
-    *(("suppression", evaluate, ("suppress",), argument(1, share), share) for share in (0.05, 0.01, -0.01)),
+    *((f"{method}-{steps}", detection, ("refine",), step_size, 0.01) for method, steps in METHODS),
+    *(("suppression", detection, ("suppress",), argument(1, share), share) for share in (0.05, 0.01, -0.01)),
     ("field", reference, ("to_volume_frame",), argument(0, 0.01), 0.01),
     *((whole, reference.UNet3D, ("forward",), output, 0.01) for whole in WHOLE),
     *((whole, reference.Decoder, ("forward",), output, 0.01) for whole in WHOLE),

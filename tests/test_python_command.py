@@ -35,13 +35,6 @@ def test_it_prints_and_returns_what_the_program_does(compiled, words):
     assert (ours.returncode, ours.stdout, ours.stderr) == (program.returncode, program.stdout, program.stderr)
 
 
-def test_it_has_all_formats(tmp_path):
-    done = run(*COMMAND, "detect", SAMPLE, "-o", tmp_path / "keypoints.parquet")
-    assert done.returncode == 0, done.stderr
-    assert run(*COMMAND, "detect", "tests/data/io/drive.db3").returncode == 0
-    assert run(*COMMAND, "manual", tmp_path / "pages").returncode == 0
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 def test_ctrl_c_ends_it_as_the_program(tmp_path):
     wait = tmp_path / "cloud.xyz"

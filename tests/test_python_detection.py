@@ -165,16 +165,9 @@ def test_unknown_options_raise_type_errors(model, field, points):
         snake_rs.detect(points, "modelnet40")
 
 
-def test_a_cloud_far_from_the_scale_of_the_model_has_a_warning(model):
-    sweep = np.random.default_rng(1).normal(size=(900, 3))
-    sweep[:90] *= 40
-    with pytest.warns(UserWarning, match="half of the points lie within"):
-        snake_rs.detect(sweep, model, query_resolution=8)
-
-
 def test_clouds_with_the_same_fault_have_one_warning(model, recwarn):
     sweep = np.random.default_rng(0).normal(size=(900, 3))
-    sweep[:30] *= 40
+    sweep[0] = 1e4
     for seed in range(3):
         np.random.default_rng(seed).shuffle(sweep)
         snake_rs.detect(sweep, model, query_resolution=8)
@@ -188,8 +181,9 @@ def test_the_warning_comes_before_a_long_detection():
     before = signal.signal(signal.SIGALRM, interrupt)
     signal.setitimer(signal.ITIMER_REAL, 2)
     ground = np.random.default_rng(1).uniform((-18, -18, 0), (18, 18, 0.01), (20_000, 3))
+    ground[0] = 1e5
     try:
-        with pytest.warns(UserWarning, match="the model `scenes` sees more of it"), pytest.raises(TimeoutError):
+        with pytest.warns(UserWarning, match="an outlier, left out"), pytest.raises(TimeoutError):
             snake_rs.detect(
                 ground, "compact", query_resolution=128, query_band=0, occupancy_threshold=0, refine_steps=100
             )

@@ -39,7 +39,7 @@ def test_everything_public_is_documented():
     functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh, snake_rs.read_points)
     functions += (snake_rs.align, snake_rs.get_num_threads, snake_rs.set_num_threads, snake_rs.view, snake_rs.tiles)
     functions += (snake_rs.read_recording, snake_rs.match)
-    parts = (snake_rs.baselines, snake_rs.metrics, snake_rs.steps)
+    parts = (snake_rs.baselines, snake_rs.steps)
     assert set(snake_rs.__all__) == {t.__name__.split(".")[-1] for t in classes + functions + parts} | {"__version__"}
     functions += tuple(getattr(part, name) for part in parts for name in part.__all__)
     members = [getattr(c, name) for c in classes for name in vars(c) if not name.startswith("_")]
@@ -68,7 +68,7 @@ def test_the_package_brings_the_licences_of_what_it_contains():
         # `make test` compiles the module and does not install it.
         path = Path(__file__).parents[1] / "python/LICENSE-THIRD-PARTY"
     text = path.read_text()
-    for crate in ("laz", "pyo3", "nalgebra", "ruzstd", "libsqlite3-sys"):
+    for crate in ("laz", "pyo3", "nalgebra", "ruzstd"):
         assert f"\n{crate} " in text, crate
     for words in ("Permission is hereby granted, free of charge", "Redistributions of source code must retain"):
         assert words in text

@@ -27,7 +27,6 @@ def test_the_gil_is_released_while_computing(model, field, points):
         lambda: field.mesh(resolution=24, level=0.5),
         lambda: snake_rs.detect(many, model, query_resolution=12),
         lambda: snake_rs.baselines.iss(many, salient_radius=0.1, non_max_radius=0.1),
-        lambda: snake_rs.metrics.geodesic_distances(many, [0, 1]),
         lambda: snake_rs.register(points, points, max_keypoints=50),
         lambda: snake_rs.estimate_normals(many, 0.1),
         lambda: snake_rs.fpfh(points, points, 0.5),

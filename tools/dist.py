@@ -1,6 +1,6 @@
 """Makes the archive of a release in target/dist, snake-cli-VERSION-TRIPLE.tar.gz (.zip for Windows).
 
-It holds the program, completions of all shells, manual pages, the README, the changelog and the licences, also those of the crates within.
+It holds the program, completions of all shells, the README, the changelog and the licences, also those of the crates within.
 Needs cargo and nothing else.
 """
 
@@ -32,7 +32,7 @@ def build(target: str) -> Path:
     # The folder of the host's own builds, so that nothing is compiled twice.
     other = [] if target == host() else ["--target", target]
     subprocess.run(
-        ["cargo", "build", "--release", "--locked", "-p", "snake-keypoints", "--features", "full", *other],
+        ["cargo", "build", "--release", "--locked", "-p", "snake-keypoints", *other],
         cwd=ROOT,
         check=True,
     )
@@ -49,7 +49,6 @@ def fill(folder: Path, program: Path) -> None:
     for shell, name in SHELLS.items():
         script = subprocess.run([program, "completions", shell], capture_output=True, check=True).stdout
         (folder / "completions" / name).write_bytes(script)
-    subprocess.run([program, "manual", folder / "man" / "man1"], check=True)
     for name in ("README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"):
         shutil.copy(ROOT / name, folder)
     licences = [sys.executable, ROOT / "python/third_party_licenses.py", "--package", "snake-keypoints"]

@@ -24,8 +24,6 @@ PYTHON = """# Python
 
 ::: snake_rs.baselines
 
-::: snake_rs.metrics
-
 ::: snake_rs.steps
 """
 

@@ -26,14 +26,14 @@
 
     tiles = snake_rs.tiles("city.laz", tile=50, folder="city.tiles", voxel_size=0.1)  # clouds that do not fit into memory
 
-Classical detectors are in snake_rs.baselines, metrics in snake_rs.metrics, the steps of a detection in snake_rs.steps,
+Classical detectors are in snake_rs.baselines, the steps of a detection in snake_rs.steps,
 classes for clusters in snake_rs.ray.
 """
 
 # NumPy imports this lazily: a child forked while another thread imports it would wait for the import lock forever.
 import numpy.ma  # noqa: F401
 
-from . import baselines, metrics, steps
+from . import baselines, steps
 from ._core import (
     Alignment,
     AlignmentEdge,
@@ -41,7 +41,6 @@ from ._core import (
     DetectedTiles,
     Field,
     Fit,
-    Instance,
     Keypoint,
     Keypoints,
     Matches,
@@ -75,7 +74,6 @@ __all__ = [
     "DetectedTiles",
     "Field",
     "Fit",
-    "Instance",
     "Keypoint",
     "Keypoints",
     "Matches",
@@ -96,7 +94,6 @@ __all__ = [
     "fpfh",
     "get_num_threads",
     "match",
-    "metrics",
     "read_points",
     "read_recording",
     "register",

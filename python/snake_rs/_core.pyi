@@ -16,7 +16,6 @@ __all__ = [
     "DetectedTiles",
     "Field",
     "Fit",
-    "Instance",
     "Keypoint",
     "Keypoints",
     "Matches",
@@ -35,38 +34,25 @@ __all__ = [
     "detect",
     "estimate_normals",
     "farthest_points",
-    "feature_matching_recall",
     "fpfh",
-    "geodesic_distances",
     "get_num_threads",
     "harris3d",
-    "information_matrix",
-    "inlier_ratio",
     "interpolate",
     "interpolate_gradient",
-    "iou",
     "iss",
     "match",
-    "mean_distance_to_keypoints",
     "page",
     "random_points",
     "read_points",
     "read_recording",
     "refine",
     "register",
-    "registration_recall",
-    "relative_repeatability",
     "run_command",
     "scene_signs",
-    "semantic_counts",
     "set_num_threads",
     "sift3d",
-    "smpl_iou",
-    "smpl_pair_counts",
-    "squared_registration_error",
     "suppress",
     "surface_variation",
-    "symmetric_repeatability",
     "tiles",
 ]
 
@@ -159,7 +145,6 @@ class _PairOptions(TypedDict, total=False):
     target_viewpoint: ArrayLike | None
     initial: ArrayLike | None
     hypotheses: int
-    instances: int
     estimate_scale: bool
 
 @type_check_only
@@ -394,8 +379,6 @@ class Keypoints:
         voxel_size: float | None = None,
         notes: list[str] = ...,
     ) -> Self: ...
-    @staticmethod
-    def load(path: _Path) -> Keypoints: ...
     @property
     def descriptors(self) -> NDArray[np.float32]: ...
     @property
@@ -478,38 +461,7 @@ def surface_variation(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def farthest_points(points: _Points, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
 def random_points(points: _Points, count: int, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.float64]]: ...
-def relative_repeatability(
-    keypoints_1: _Points, keypoints_2: _Points, t_1_2: ArrayLike, epsilon: ArrayLike
-) -> NDArray[np.float64]: ...
-def symmetric_repeatability(
-    keypoints_1: _Points, keypoints_2: _Points, t_1_2: ArrayLike, epsilon: ArrayLike
-) -> NDArray[np.float64]: ...
-def mean_distance_to_keypoints(points: _Points, keypoints: _Points) -> float: ...
-def geodesic_distances(points: _Points, sources: ArrayLike, neighbors: int = 20) -> NDArray[np.float64]: ...
-def semantic_counts(
-    points: _Points,
-    ground_truth: ArrayLike,
-    found: ArrayLike,
-    thresholds: ArrayLike,
-    unreachable: Literal["strict", "paper"] = "strict",
-) -> NDArray[np.int64]: ...
-def iou(counts: ArrayLike) -> NDArray[np.float64]: ...
-def smpl_pair_counts(
-    body_1: ArrayLike,
-    body_2: ArrayLike,
-    keypoints_1: _Points,
-    keypoints_2: _Points,
-    thresholds: ArrayLike,
-    protocol: Literal["strict", "paper"] = "strict",
-    seed: int = 0,
-) -> NDArray[np.int64]: ...
 def run_command(words: list[str]) -> int: ...
-def smpl_iou(counts: ArrayLike, protocol: Literal["strict", "paper"] = "strict") -> float: ...
-def inlier_ratio(source: _Points, target: _Points, t_target_source: ArrayLike, threshold: float = 0.1) -> float: ...
-def feature_matching_recall(inlier_ratios: ArrayLike, threshold: float = 0.05) -> float: ...
-def squared_registration_error(t_gt: ArrayLike, t_estimate: ArrayLike, information: ArrayLike) -> float: ...
-def information_matrix(points: _Points) -> NDArray[np.float64]: ...
-def registration_recall(fragments: ArrayLike, squared_errors: ArrayLike, threshold: float = 0.2) -> float: ...
 
 @final
 class Alignment:
@@ -603,18 +555,7 @@ class Registration:
     @property
     def hypotheses(self) -> list[NDArray[np.float64]]: ...
     @property
-    def instances(self) -> list[Instance]: ...
-    @property
     def seconds(self) -> float: ...
-
-@final
-class Instance:
-    @property
-    def t_target_source(self) -> NDArray[np.float64]: ...
-    @property
-    def verdict(self) -> Verdict: ...
-    @property
-    def fit(self) -> Fit: ...
 
 @final
 class Verdict:

@@ -7,7 +7,7 @@ use snake_registration as core;
 
 use crate::model;
 use crate::registration::matrix;
-use crate::{arrays, metrics, options, threads};
+use crate::{arrays, options, threads};
 
 /// The poses of many clouds. They can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -157,7 +157,7 @@ pub fn align(
     let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
     let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
     let model = model::for_registration(py, model, &options, clouds.first())?;
-    let pose = |pose: Option<Bound<'_, PyAny>>| pose.map(|pose| metrics::transform("initial_poses", &pose)).transpose();
+    let pose = |pose: Option<Bound<'_, PyAny>>| pose.map(|pose| arrays::transform("initial_poses", &pose)).transpose();
     let initial_poses = initial_poses.into_iter().flatten().map(pose).collect::<PyResult<_>>()?;
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
     let mut known = core::AlignPriors::default()

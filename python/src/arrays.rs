@@ -6,10 +6,10 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyString, PyTuple};
-use snake_core::{Cloud, Point, add_origin, excerpt, subtract_origin};
+use snake_core::{Cloud, Point, RigidTransform, add_origin, excerpt, subtract_origin};
 use snake_io::ReadOptions;
 
-use crate::error::value_error;
+use crate::error::{py_error, value_error};
 use crate::files;
 
 /// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
@@ -45,16 +45,6 @@ impl Rows<'_> {
             Self::Double(rows) => {
                 (Cloud::from_positions(rows.as_slice()?.as_chunks().0.iter().copied()), Precision::Double)
             }
-        })
-    }
-
-    /// Copies the rows.
-    fn positions(&self) -> PyResult<Vec<[f64; 3]>> {
-        Ok(match self {
-            Self::Single(rows) => {
-                rows.as_slice()?.as_chunks().0.iter().map(|point: &[f32; 3]| point.map(f64::from)).collect()
-            }
-            Self::Double(rows) => rows.as_slice()?.as_chunks().0.to_vec(),
         })
     }
 
@@ -132,17 +122,14 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     })
 }
 
-/// The rows of an array in float64.
-pub fn positions(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<[f64; 3]>> {
-    given_rows(what, value)?.positions()
-}
-
-/// The rows of arrays in one frame, relative to the origin of the first.
-pub fn in_one_frame<const N: usize>(given: [(&str, &Bound<PyAny>); N]) -> PyResult<[Vec<Point>; N]> {
-    let rows = given.iter().map(|(what, value)| given_rows(what, value)).collect::<PyResult<Vec<_>>>()?;
-    let origin = rows.first().map_or(Ok([0.0; 3]), |first| Ok::<_, PyErr>(first.cloud()?.0.origin))?;
-    let points = rows.iter().map(|rows| rows.relative_to(origin)).collect::<PyResult<Vec<_>>>()?;
-    points.try_into().map_err(|_| PyValueError::new_err("too few arrays"))
+/// A rigid transform (4, 4).
+pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
+    let list = value.py().import("numpy")?.call_method1("asarray", (value,))?.call_method0("tolist")?;
+    let refused = |_| value_error(&format!("{what}: expected a transform of shape (4, 4), found {value}"));
+    RigidTransform::from_matrix(list.extract().map_err(refused)?).map_err(|error| match error {
+        snake_geometry::Error::Input { reason, .. } => PyValueError::new_err(format!("{what}: {reason}")),
+        other => py_error(other),
+    })
 }
 
 /// The rows of an array, without an origin subtracted.

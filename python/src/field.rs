@@ -1,6 +1,5 @@
 //! `snake_rs.Field`.
 
-use numpy::ndarray::ArrayView4;
 use numpy::{PyArray, PyArray1, PyArray2, PyArray4};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -141,10 +140,7 @@ impl Field {
     /// A copy of the feature volume, (C, D, H, W) float32, with D, H and W along z, y and x.
     #[getter]
     fn volume<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<f32>>> {
-        let volume = self.core.volume();
-        let features = ArrayView4::from_shape(volume.shape(), volume.features())
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        Ok(PyArray::from_array(py, &features.permuted_axes([3, 0, 1, 2])))
+        Ok(PyArray::from_array(py, &self.core.volume().view().permuted_axes([3, 0, 1, 2])))
     }
 
     /// Center (3,), in the type of the cloud's points, and scale, in cloud units: `network = (cloud - center) / scale`.

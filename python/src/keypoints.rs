@@ -8,7 +8,7 @@ use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
 use snake_core::{self as core, Chosen, Cloud, Counts, Detection, Point};
-use snake_io::{KeypointSource, read_keypoints, write_keypoints};
+use snake_io::{KeypointSource, write_keypoints};
 use snake_registration::{FPFH_DIMENSION, describe_keypoints};
 
 use crate::arrays::{self, Positions, Precision};
@@ -86,8 +86,8 @@ pub struct Keypoints {
     /// The size of a voxel of its volume, in cloud units; None for keypoints from a file.
     #[pyo3(get)]
     voxel_size: Option<f64>,
-    /// Notes on them, a list of sentences: on the choice of the model, the cloud's scale, outliers, and keypoints that
-    /// cluster.
+    /// Notes on them, a list of sentences: on the choice of the model, and on outliers and other
+    /// faults of the cloud.
     #[pyo3(get)]
     notes: Vec<String>,
     /// The cloud, for descriptors. Keypoints that were pickled or loaded have none.
@@ -100,12 +100,11 @@ impl Keypoints {
     pub fn chosen(
         py: Python<'_>,
         detection: Detection,
-        mut notes: Vec<String>,
+        notes: Vec<String>,
         chosen: &Chosen,
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
-        notes.extend(py.detach(|| chosen.cluster_hint(&detection)));
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
         let source = (Some(chosen.name.clone()), notes);
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)
@@ -197,21 +196,9 @@ impl Keypoints {
         }
     }
 
-    /// Reads keypoints from a file that `save` wrote (ply, pcd, npy, csv or json). They have neither counts nor times, and no
-    /// descriptors. Raises OSError when the file cannot be read and ValueError when it does not hold keypoints.
-    #[staticmethod]
-    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let (keypoints, origin) = py.detach(|| read_keypoints(&path)).map_err(file_error)?;
-        let precision = if origin == [0.0; 3] { Precision::Single } else { Precision::Double };
-        let mut detection = Detection::default();
-        detection.counts.keypoints = keypoints.len();
-        detection.keypoints = keypoints;
-        Self::from_detection(py, detection, origin, precision, None, (None, Vec::new()))
-    }
-
     /// Descriptors (K, 33) float32 of the cloud around each keypoint: the square roots of FPFH histograms, which do not depend
     /// on how the cloud is turned. `match` compares those of two clouds of about the same size. They are computed when they are
-    /// first asked for, from a copy of the cloud. Raises ValueError for keypoints from a file, from tiles, or that were pickled
+    /// first asked for, from a copy of the cloud. Raises ValueError for keypoints from tiles, or that were pickled
     /// before their descriptors were asked for: their cloud is not known.
     #[getter]
     pub fn descriptors(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f32>>> {
@@ -219,8 +206,8 @@ impl Keypoints {
             return Ok(made.clone_ref(py));
         }
         let Some(cloud) = &self.cloud else {
-            let reason = "descriptors: the cloud of these keypoints is not known, because they come from a file, from tiles or \
-                          from a pickle; detect them again";
+            let reason = "descriptors: the cloud of these keypoints is not known, because they come from tiles or from a \
+                          pickle; detect them again";
             return Err(PyValueError::new_err(reason));
         };
         let points = arrays::given_rows("points", &self.points.bind(py))?.relative_to(cloud.origin)?;

@@ -11,7 +11,6 @@ mod files;
 mod io;
 mod keypoints;
 mod mesh;
-mod metrics;
 mod model;
 mod options;
 mod page;
@@ -36,9 +35,7 @@ use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use recording::{RecordedCloud, Recording, read_recording};
-use registration::{
-    CloudReport, Fit, Instance, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register,
-};
+use registration::{CloudReport, Fit, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register};
 use threads::{get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
@@ -157,21 +154,14 @@ mod _core {
     #[pymodule_export]
     use super::command::run_command;
     #[pymodule_export]
-    use super::metrics::{
-        feature_matching_recall, geodesic_distances, information_matrix, inlier_ratio, iou, mean_distance_to_keypoints,
-        registration_recall, relative_repeatability, semantic_counts, smpl_iou, smpl_pair_counts,
-        squared_registration_error, symmetric_repeatability,
-    };
-    #[pymodule_export]
     use super::page::page;
     #[pymodule_export]
     use super::steps::{aggregate, decode, interpolate, interpolate_gradient, refine, suppress};
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Instance, Keypoint, Keypoints, Matches, Mesh,
-        Model, PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals,
-        fpfh, get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads,
-        tiles,
+        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Keypoint, Keypoints, Matches, Mesh, Model,
+        PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals, fpfh,
+        get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -9,7 +9,7 @@ use snake_core::Length;
 use snake_view::{Page, ShownCloud, ShownPair, viridis};
 
 use crate::error::py_error;
-use crate::{arrays, metrics, model, options, threads};
+use crate::{arrays, model, options, threads};
 
 /// A length in Python: a number of cloud units, or text such as "6r".
 #[derive(FromPyObject)]
@@ -52,7 +52,7 @@ pub fn page(
         return Err(PyValueError::new_err("`epsilon` and `t_first_second` need two clouds"));
     }
     let epsilon = epsilon.map(LengthLike::length).transpose()?;
-    let t_first_second = t_first_second.map(|value| metrics::transform("t_first_second", value)).transpose()?;
+    let t_first_second = t_first_second.map(|value| arrays::transform("t_first_second", value)).transpose()?;
     let chooser = model::chooser(py, model, &options::values("view", &options::ALL, options)?)?;
     let named = |given: Option<&str>, what: &str, value: &Bound<'_, PyAny>, unnamed: &str| {
         let (cloud, _) = arrays::cloud(what, value)?;

@@ -10,14 +10,13 @@ use crate::error::file_error;
 
 /// Reads the point clouds of a recording, one after another: an iterator of `RecordedCloud`.
 ///
-/// `path` is an MCAP file, a file of a ROS 2 bag in SQLite (`.db3`), or the folder of a bag, the files of which are read in the
-/// order of its `metadata.yaml`. The clouds are messages `PointCloud2` of ROS 2 or ROS 1. `topic` is their topic, such as
-/// "/points"; None takes the only topic with point clouds. Only one cloud is in memory at a time:
+/// `path` is an MCAP file. The clouds are messages `PointCloud2` of ROS 2 or ROS 1. `topic` is their topic, such as "/points";
+/// None takes the only topic with point clouds. Only one cloud is in memory at a time:
 ///
 ///     for cloud in snake_rs.read_recording("drive.mcap", topic="/points"):
 ///         keypoints = snake_rs.detect(cloud)
 ///
-/// Raises OSError when a file cannot be read. Raises ValueError when it is no recording, when the topic has no point clouds,
+/// Raises OSError when the file cannot be read. Raises ValueError when it is no recording, when the topic has no point clouds,
 /// or when no topic is given and several have some; the iterator raises ValueError for a message that is damaged or compressed.
 #[pyfunction]
 #[pyo3(signature = (path, topic=None))]

@@ -67,31 +67,6 @@ pub struct Matches {
     spread: f64,
 }
 
-/// One of several poses of the source in the target.
-#[pyclass(frozen, module = "snake_rs")]
-pub struct Instance(core::Instance);
-
-#[pymethods]
-impl Instance {
-    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R p_source + t`.
-    #[getter]
-    fn t_target_source(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
-        matrix(py, self.0.t_target_source.to_matrix())
-    }
-
-    /// Whether this pose can be relied on, and why or why not.
-    #[getter]
-    fn verdict(&self) -> Verdict {
-        Verdict::new(&self.0.verdict)
-    }
-
-    /// How well the clouds fit under this pose.
-    #[getter]
-    fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
-        Fit::new(py, &self.0.fit)
-    }
-}
-
 /// The used part of a cloud.
 #[pyclass(frozen, get_all, module = "snake_rs")]
 pub struct CloudReport {
@@ -185,12 +160,6 @@ impl Registration {
     #[getter]
     fn hypotheses(&self, py: Python<'_>) -> PyResult<Vec<Py<PyArray2<f64>>>> {
         self.0.hypotheses.iter().map(|hypothesis| matrix(py, hypothesis.t_target_source.to_matrix())).collect()
-    }
-
-    /// The poses whose points do not overlap, most confident first: `instances` of them at most. Empty for one.
-    #[getter]
-    fn instances(&self) -> Vec<Instance> {
-        self.0.instances.iter().cloned().map(Instance).collect()
     }
 
     /// Seconds that the registration took.
@@ -296,7 +265,7 @@ impl PreparedMap {
     }
 
     /// Finds the transform from a scan (N, 3) to the map, as `register` does with the map as the target. The options are those
-    /// of `register` for a pair: `source_viewpoint`, `initial`, `hypotheses` and `instances`.
+    /// of `register` for a pair: `source_viewpoint`, `initial` and `hypotheses`.
     #[pyo3(signature = (source, **options))]
     fn register(&self, source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Registration> {
         let pair: core::PairOptions = options::of("PreparedMap.register", options)?;

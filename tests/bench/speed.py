@@ -17,7 +17,7 @@ import torch
 
 from snake_training.augment import normalize
 from snake_training.data import Procedural
-from snake_training.evaluate import DetectOptions, near_points, query_grid, refine, select
+from snake_training.detection import DetectOptions, near_points, query_grid, refine, select
 from snake_training.export import write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork, voxel_index
 

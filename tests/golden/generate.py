@@ -17,7 +17,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from snake_training.evaluate import query_grid
+from snake_training.detection import query_grid
 from snake_training.model import NetworkConfig, SnakeNetwork, voxel_index
 
 HERE = Path(__file__).resolve().parent

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from .arguments import option, parser_of
 from .data import open_shapes
-from .evaluate import view_pairs
+from .evaluation.views import view_pairs
 from .export import replacing
 
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
@@ -33,9 +33,10 @@ def repeated(points, others, reach):
 def of_objects(model, shapes, number, points, rotations):
     """A list of (scores (K,), whether they are found again (K,)) of objects, both of whose views are turned and sampled anew."""
     rows = []
-    for first, second, turn in view_pairs(shapes, number, points, 0):
-        found = [model.encode(cloud.astype(np.float32), rotations=rotations).detect() for cloud in (first, second)]
-        moved = found[1].points @ turn.T
+    for views in view_pairs(shapes, number, points, 0):
+        clouds = views.view_1, views.view_2
+        found = [model.encode(cloud.astype(np.float32), rotations=rotations).detect() for cloud in clouds]
+        moved = found[1].points @ views.t_1_2[:3, :3].T
         hits = repeated(found[0].points, moved, OBJECT_REACH), repeated(moved, found[0].points, OBJECT_REACH)
         rows.append((np.concatenate([view.saliency for view in found]), np.concatenate(hits)))
     return rows

@@ -31,11 +31,11 @@ KINDS = {
         } | SEED,
     ),
     "landmarks": (
-        write_landmarks, "Shapes with known landmarks in KeypointNet's layout, for `snake-cli eval semantic`.",
+        write_landmarks, "Shapes with known landmarks in KeypointNet's layout, for `snake_training.evaluation semantic`.",
         FOLDER | {"--number": option(200, "shapes"), "--points": option(4096, "points of each")} | SEED,
     ),
     "bodies": (
-        write_bodies, "Bodies with known correspondences, for `snake-cli eval semantic`: annotated/, posed/ and bent/.",
+        write_bodies, "Bodies with known correspondences, for `snake_training.evaluation semantic`: annotated/, posed/ and bent/.",
         FOLDER | {
             "--number": option(200, "annotated shapes, and pairs of bodies"), "--points": option(2048, "points of each"),
             "--corpus": dict(nargs="+", default=(), help="corpus folders whose animals and characters are bent"),

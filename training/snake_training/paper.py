@@ -12,13 +12,16 @@ import sys
 import time
 from pathlib import Path
 
+import pandas as pd
 import torch
 
-from . import body_model, export
+from . import export
 from .arguments import RUN, check_run, option, parser_of
 from .command_line import parse_arguments
+from .evaluation.__main__ import evaluate
+from .evaluation.tables import kind_of, pivot
 from .paper_files import missing
-from .paper_tables import ITEMS, TRAINING
+from .paper_tables import ITEMS, SHAPE, TRAINING, Evaluation
 from .train import train
 
 TERAFLOPS = 27.0  # a second of an H100 in float32: an estimate, by which the hours are told
@@ -27,13 +30,17 @@ SMOKE = (
     "--steps 2 --validate-every 100 --validation-samples 2 --validation-objects 1 --validation-resolution 6"
 )
 SMOKE_OF = {
-    "repeatability": "--methods snake --downsample 1,8 --noise 0,0.02 --limit 1 --set query_resolution=12",
-    "semantic": "--methods snake --limit 1 --set query_resolution=12",
-    "registration": "--detectors snake --limit 1 --set query_resolution=12",
+    "repeatability": {"downsample": (1, 8), "noise": (0, 0.02), "limit": 1}, "semantic": {"limit": 1}, "registration": {"limit": 1},
     "detect": "--set query_resolution=12", "view": "--set query_resolution=12", "field": "--resolution 12",
     "reconstruct": "--resolution 12",
 }  # fmt: skip
 LIST_630 = "keypointnet_test_630.txt"
+# The views of figure 6.
+DISTURBED = """import numpy as np, snake_rs
+from snake_training.evaluation.views import Condition, disturbed
+points = snake_rs.read_points({shape!r})
+for name, condition in (("thinned", Condition(8)), ("noisy", Condition(noise=0.06))):
+    np.save(f"{run}/{{name}}.npy", disturbed(points, condition, np.random.default_rng(0)))"""
 
 
 class Programme:
@@ -43,7 +50,7 @@ class Programme:
     def __init__(self, names, data, lists, run_dir, seeds=6, smoke=False):
         self.items = {name: ITEMS[name] for name in names}
         self.folders = {"data": str(data), "lists": str(lists), "run": str(run_dir)}
-        self.run_dir, self.seeds, self.smoke = Path(run_dir), seeds, smoke
+        self.run_dir, self.seeds, self.smoke, self.tables = Path(run_dir), seeds, smoke, {}
         self.commands = list(dict.fromkeys(command for item in self.items.values() for command in commands_of(item)))
 
     def models(self, commands):
@@ -53,7 +60,7 @@ class Programme:
 
     def seeds_of(self, command):
         """The number of models whose mean the paper's figure is: all seeds, or one."""
-        return self.seeds if command.seeds else 1
+        return self.seeds if isinstance(command, Evaluation) and command.seeds else 1
 
     def folder(self, network, seed):
         """The run of a network."""
@@ -75,24 +82,39 @@ class Programme:
         folder = self.folder(network, seed)
         return [str(folder), "-o", str(folder / "weights.safetensors")]
 
+    def weights(self, command):
+        """The files of a command's networks."""
+        seeds = range(1, self.seeds_of(command) + 1)
+        return [f"{self.folder(command.network, seed)}/weights.safetensors" for seed in seeds]
+
     def command_words(self, command):
         """The arguments of snake-cli."""
-        words = [word.format(**self.folders) for word in command.words.split()]
-        files = [
-            f"{self.folder(command.network, seed)}/weights.safetensors" for seed in range(1, self.seeds_of(command) + 1)
-        ]
-        words += ["--model", files[0]] if len(files) == 1 else ["--models", ",".join(files)]
-        kind = words[1] if words[0] == "eval" else words[0]
-        if words[0] == "eval":
-            words += ["-o", str(self.tables_of(command))]
-        given = SMOKE_OF[kind].split() if self.smoke else []
+        words = [*command.words.format(**self.folders).split(), "--model", self.weights(command)[0]]
+        given = SMOKE_OF[words[0]].split() if self.smoke else []
         for name, value in zip(given[::2], given[1::2]):
             words += [name, value] if name == "--set" or name not in words else []
         return words
 
-    def tables_of(self, command):
-        """The folder of an evaluation's tables, which depend on the number of models."""
-        return self.run_dir / "tables" / command.name / (f"seeds{self.seeds}" if command.seeds else "")
+    def evaluation_words(self, command):
+        """The arguments of `snake_training.evaluation`."""
+        words = [command.kind, command.data.format(**self.folders), "--methods", *self.methods(command)]
+        words += () if self.smoke else command.others
+        arguments = (SMOKE_OF[command.kind] if self.smoke else {}) | dict(command.arguments)
+        for name, value in arguments.items():
+            values = value if isinstance(value, tuple) else () if value is True else (value,)
+            words += ["--" + name.replace("_", "-"), *(str(one).format(**self.folders) for one in values)]
+        return [*words, "-o", str(self.run_dir / "tables" / command.name)]
+
+    def methods(self, command):
+        """The words of our networks in an evaluation."""
+        options = ",".join(filter(None, (command.options, "query_resolution=12" if self.smoke else "")))
+        return [f"{path}:{options}" if options else path for path in self.weights(command)]
+
+    def words(self, command):
+        """The whole command line."""
+        if isinstance(command, Evaluation):
+            return ["python", "-m", "snake_training.evaluation", *self.evaluation_words(command)]
+        return ["snake-cli", *self.command_words(command)]
 
     def missing(self):
         """The files that are not there, each with where it comes from, as lines."""
@@ -129,35 +151,28 @@ class Programme:
                     shlex.join(["python", "-m", "snake_training.train", *self.training_words(network, seed)]),
                     shlex.join(["python", "-m", "snake_training.export", *self.export_words(network, seed)]),
                 ]
-            lines += [shlex.join(["snake-cli", *self.command_words(command)]) for command in commands]
+            lines += [shlex.join(self.words(command)) for command in commands]
         return [*lines, f"# {number} networks, about {total:.0f} hours of an H100"]
 
     def preparations(self):
         """Files that the downloads have in another form: the file, the line of a shell that makes it, and a function that does."""
-        lists, bodies = Path(self.folders["lists"]), Path(self.folders["data"]) / "smpl_model"
-        names, made = self.run_dir / LIST_630, self.run_dir / "smpl_bodies"
-        model = made / "model.npz"
+        names, disturbed = self.run_dir / LIST_630, self.run_dir / "noisy.npy"
+        listed = f"{self.folders['lists']}/keypointnet_test_full.txt"
+        code = DISTURBED.format(shape=SHAPE.format(**self.folders), run=self.folders["run"])
 
-        copy_bodies = f"mkdir -p {made} && cp {bodies}/*_test_100.npy {made} && "
-        copy_bodies += f"python -m snake_training.body_model {bodies}/model.pkl {model}"
+        def run_code():
+            subprocess.run([sys.executable, "-c", code], check=True)
 
         def write_names():
-            lines = (lists / "keypointnet_test_full.txt").read_text(encoding="utf-8-sig").splitlines()
+            lines = Path(listed).read_text(encoding="utf-8-sig").splitlines()
             names.write_text("\n".join(lines[:630]) + "\n")
 
-        def write_bodies():
-            made.mkdir(exist_ok=True)
-            for file in ("pose_test_100.npy", "beta_test_100.npy"):
-                shutil.copy(bodies / file, made / file)
-            body_model.main([str(bodies / "model.pkl"), str(model)])
-
         steps = (
-            ("{run}/keypointnet_test_630.txt", names, f"head -n 630 {lists}/keypointnet_test_full.txt > {names}", write_names),
-            (
-                "{run}/smpl_bodies", model, copy_bodies, write_bodies,
-            ),
-        )  # fmt: skip
-        return [step for named, *step in steps if any(named in command.words for command in self.commands)]
+            (f"{{run}}/{LIST_630}", names, f"head -n 630 {listed} > {names}", write_names),
+            ("{run}/noisy.npy", disturbed, f"python -c {shlex.quote(code)}", run_code),
+        )
+        needed = [str(command) for command in self.commands]
+        return [step for named, *step in steps if any(named in text for text in needed)]
 
     def run(self, snake_cli, device="auto", minutes=0.0, workers=0, log=print):
         """Does what is not done yet, then writes the tables; returns whether the minutes sufficed."""
@@ -173,7 +188,10 @@ class Programme:
                     log(f"the minutes are over before {network.name}, seed {seed}, is done; the same command goes on")
                     return False
             for command in commands:
-                subprocess.run([snake_cli, *self.command_words(command)], check=True, stdout=subprocess.DEVNULL)
+                if isinstance(command, Evaluation):
+                    self.tables[command] = evaluate(self.evaluation_words(command))
+                else:
+                    subprocess.run([snake_cli, *self.command_words(command)], check=True, stdout=subprocess.DEVNULL)
             if self.items[name].cells:
                 text = "\n".join([f"{name}: {self.items[name].title}", "", *self.rows(self.items[name])]) + "\n"
                 (self.run_dir / f"{name}.md").write_text(text)
@@ -196,36 +214,28 @@ class Programme:
         return is_done
 
     def rows(self, item):
-        """The rows of a table of Markdown: the paper's figure beside ours, with its deviation if it is of several models."""
+        """The rows of a table of Markdown: the paper's figure beside ours, the mean over several models with its deviation."""
         rows = []
         for cell in item.cells:
-            ours, paper = snake_rows(self.tables_of(cell.command), cell.table)
+            table = self.tables[cell.command]
+            means = pivot(table[table["metric"] == cell.metric])
+            of = " d3feat" if cell.command.kind == "registration" else ""
+            ours = means.loc[[f"{method}{of}" for method in self.methods(cell.command)]]
+            theirs = means.loc[f"snake{of} (paper)"] if f"snake{of} (paper)" in means.index else {}
             label = cell.command.name.rpartition("/")[2]
-            for column in [cell.column] if cell.column else ours:
-                figure = ours[column] if self.seeds_of(cell.command) > 1 else ours[column].partition(" ±")[0]
-                theirs = paper.get(column, "-") if cell.paper is None else f"{cell.paper:g}"
-                rows.append(f"| {label}: {column} | {theirs} | {figure} |")
+            for condition in means.columns if cell.paper is None else [cell.condition]:
+                if cell.paper is None and (kind_of(condition)[0] != cell.condition or ours[condition].isna().any()):
+                    continue
+                paper = cell.paper if cell.paper is not None else theirs.get(condition, float("nan"))
+                spread = f" ±{ours[condition].std():.3f}" if len(ours) > 1 else ""
+                figures = "-" if pd.isna(paper) else f"{paper:g}", f"{ours[condition].mean():.3f}{spread}"
+                rows.append(f"| {label}: {condition} | {' | '.join(figures)} |")
         return ["| | paper | ours |", "|---|---|---|", *rows]
 
 
 def commands_of(item):
     """The commands of an item, each once."""
     return list(dict.fromkeys([*(cell.command for cell in item.cells), *item.pictures]))
-
-
-def snake_rows(folder, table):
-    """The figures of our network and of the paper's by column, of a table that snake-cli wrote, without counts."""
-    (path,) = folder.glob("*.md")
-    groups = [group for group in path.read_text().split("\n\n") if group.startswith("|")]
-    head, _, *rows = (
-        [cell.strip() for cell in line.strip("|").split("|")] for line in groups[table].splitlines() if line[0] == "|"
-    )
-    columns = [column for column, name in enumerate(head) if column and name not in ("keypoints", "coverage")]
-    ours, paper = (
-        [row for row in rows if row[0].startswith("snake") and row[0].endswith("(paper)") == is_paper]
-        for is_paper in (0, 1)
-    )
-    return tuple({head[column]: some[0][column] for column in columns} if some else {} for some in (ours, paper))
 
 
 def main(argv=None):
@@ -238,7 +248,7 @@ def main(argv=None):
         "--lists": dict(help="the folder of the authors' lists; default: split in that of --data"),
         "--run-dir": option("runs/paper", "folder of networks, tables and pictures"),
         "--seeds": option(6, "networks of tables 6 to 13, whose figures are means"),
-        "--snake-cli": option("snake-cli", "the program that evaluates"),
+        "--snake-cli": option("snake-cli", "the program that draws"),
         "--dry-run": dict(action="store_true", help="print the commands, their samples and hours, and end"),
         "--smoke": dict(action="store_true", help="everything with next to no work, to see that it runs"),
     }
@@ -257,7 +267,7 @@ def main(argv=None):
         print("\n".join(programme.describe()))
         return
     absent = programme.missing()
-    if not shutil.which(given.snake_cli):
+    if any(item.pictures for item in programme.items.values()) and not shutil.which(given.snake_cli):
         absent.append(f"{given.snake_cli}: the program of the command line is not in PATH; give --snake-cli")
     if absent:
         sys.exit("missing:\n" + "\n".join(absent))

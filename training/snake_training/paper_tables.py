@@ -1,4 +1,4 @@
-"""The needs of each table and figure of SNAKE (NeurIPS 2022): data, networks, commands of snake-cli, and the paper's own figures.
+"""The needs of each table and figure of SNAKE (NeurIPS 2022): data, networks, evaluations, commands of snake-cli, and the paper's figures.
 
 In words, {data} is the folder of data, {lists} that of the released code's lists, {run} that of the results.
 """
@@ -61,24 +61,38 @@ class Network:
 
 @dataclass(frozen=True)
 class Command:
-    """A command of snake-cli with the weights of a network, for an evaluation of `seeds` models or of the first."""
+    """A command of snake-cli with the weights of a network."""
 
     name: str
     network: Network
     words: str
+    needs: str = "pairs"
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """An evaluation of a network with `options` of its detection, of `seeds` models or of the first, beside other methods."""
+
+    name: str
+    network: Network
+    kind: str  # of `snake_training.evaluation`
+    data: str
+    arguments: tuple = ()  # names and values
+    options: str = ""
+    others: tuple = ()
     needs: str = "pairs"
     seeds: bool = False
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure of the paper and where ours stands: a table of the evaluation and its column. Without a column every one is
-    meant, and the paper's figures are those that the evaluation prints."""
+    """Figures of the paper and where ours stand: a metric of the evaluation and what varies in its conditions, or one condition with the
+    paper's figure. Those of all conditions are those that the evaluation shows."""
 
-    command: Command
-    column: str = ""
+    command: Evaluation
+    metric: str
+    condition: str
     paper: float | None = None
-    table: int = 0
 
 
 @dataclass(frozen=True)
@@ -95,24 +109,30 @@ def ablation(preset, variant, words):
 
 
 MODELNET, KEYPOINTNET, SMPL, REDWOOD, MATCH = map(Network, ("modelnet40", "keypointnet", "smpl", "redwood", "3dmatch"))
-REPEATED = Command(
-    "modelnet40", MODELNET, f"eval repeatability {PAIRS} --set normalization=half --nms-radius 0.01 --protocol paper --paper", seeds=True
+BASELINES = "iss", "harris3d", "sift3d", "random"
+PAPER = (("protocol", "paper"), ("paper", True))
+HALF = "normalization=half"
+REPEATED = Evaluation(
+    "modelnet40", MODELNET, "repeatability", PAIRS, (("nms_radius", 0.01), *PAPER), HALF, BASELINES, seeds=True
 )  # fmt: skip
-ROOMS = Command(
-    "redwood", REDWOOD, "eval repeatability {data}/redwood/numpy_gt_normal --nms-radius 0.04 --protocol paper --paper", "rooms", True
+ROOMS = Evaluation(
+    "redwood", REDWOOD, "repeatability", "{data}/redwood/numpy_gt_normal", (("nms_radius", 0.04), *PAPER), "", BASELINES, "rooms", True
 )  # fmt: skip
-SHAPES = "eval semantic {data}/keypointnet_pcds --split {run}/keypointnet_test_630.txt"
-CONSISTENT = Command("keypointnet", KEYPOINTNET, f"{SHAPES} --protocol paper --paper", "annotations", True)
-BODIES = Command("smpl", SMPL, "eval semantic {run}/smpl_bodies --protocol paper --paper", "bodies", True)
-BESIDE_UKPGAN = Command(
-    "ukpgan", KEYPOINTNET,
-    "eval repeatability {data}/keypointnet_pcds --split {lists}/keypointnet_test_full.txt --max-keypoints 32 --nms-radius 0.03 "
-    "--downsample 1,4,8 --paper", "annotations",
+SHAPES = "{data}/keypointnet_pcds"
+LIST_630 = ("split", "{run}/keypointnet_test_630.txt")
+CONSISTENT = Evaluation(
+    "keypointnet", KEYPOINTNET, "semantic", SHAPES, (LIST_630, *PAPER), "", BASELINES, "annotations", True
+)
+BODIES = Evaluation("smpl", SMPL, "semantic", "{data}/smpl_model", PAPER, "", BASELINES, "bodies", True)
+BESIDE_UKPGAN = Evaluation(
+    "ukpgan", KEYPOINTNET, "repeatability", SHAPES,
+    (("split", "{lists}/keypointnet_test_full.txt"), ("max_keypoints", 32), ("nms_radius", 0.03), ("downsample", (1, 4, 8)), ("paper", True)),
+    needs="annotations",
 )  # fmt: skip
-REGISTERED = Command(
-    "3dmatch", MATCH,
-    "eval registration {data}/3DMatch_eval_downsample --preset 3dmatch --descriptors d3feat --external d3feat={data}/d3feat "
-    "--max-keypoints 2500,1000,500,250,100 --paper", "fragments",
+REGISTERED = Evaluation(
+    "3dmatch", MATCH, "registration", "{data}/3DMatch_eval_downsample",
+    (("descriptors", "d3feat"), ("external", "d3feat={data}/d3feat"), ("max_keypoints", (2500, 1000, 500, 250, 100)), ("paper", True)),
+    "preset=3dmatch,nms_radius=0.05", ("iss", "sift3d", "random"), "fragments",
 )  # fmt: skip
 
 # Table 4: the loss that is left out, its settings, our detection without it, repeatability and mIoU.
@@ -123,27 +143,31 @@ LOSSES = {
     "no-sparsity": ("--weight-sparsity 0", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     "": ("", (0.85, 0.89, 0.90), (0.30, 0.37, 0.42)),
 }  # fmt: skip
-CLEAN = (
-    f"eval repeatability {PAIRS} --set normalization=half --nms-radius 0.01 --methods snake --downsample 1 --noise 0"
-)
-EVERYWHERE = " --set occupancy_threshold=0 --set surface_threshold=0"
+CLEAN = (("nms_radius", 0.01), ("downsample", 1), ("noise", 0))
+EVERYWHERE = "occupancy_threshold=0,surface_threshold=0"
+REPEATABILITY = "repeatability", "ε 0.04"
 
 
-def clean(name, network, more=""):
+def clean(name, network, options="", more=()):
     """The repeatability of a network on the pairs of ModelNet40 as they are."""
-    return Command(f"ablations/{name}", network, CLEAN + more)
+    options = ",".join(filter(None, (HALF, options)))
+    return Evaluation(f"ablations/{name}", network, "repeatability", PAIRS, (*CLEAN, *more), options)
 
 
 def table_4():
     """Table 4 row by row: repeatability at three distances, mIoU at three thresholds."""
     for variant, (words, repeated, consistent) in LOSSES.items():
-        more = EVERYWHERE if variant == "no-occupancy" else ""
+        options = EVERYWHERE if variant == "no-occupancy" else ""
         network = ablation("modelnet40", variant, words)
-        command = clean(network.name, network, more)
-        yield from (Cell(command, f"ε {column}", paper) for column, paper in zip((0.04, 0.05, 0.06), repeated))
+        command = clean(network.name, network, options)
+        for distance, paper in zip((0.04, 0.05, 0.06), repeated):
+            yield Cell(command, "repeatability", f"ε {distance}", paper)
         network = ablation("keypointnet", variant, words)
-        command = Command(f"ablations/{network.name}", network, f"{SHAPES} --methods snake{more}", "annotations")
-        yield from (Cell(command, column, paper, 1) for column, paper in zip(("0.08", "0.09", "0.1"), consistent))
+        command = Evaluation(
+            f"ablations/{network.name}", network, "semantic", SHAPES, (LIST_630,), options, needs="annotations"
+        )
+        for threshold, paper in zip((0.08, 0.09, 0.1), consistent):
+            yield Cell(command, "mIoU, as released", f"threshold {threshold}", paper)
 
 
 def table_5(option, figures, words):
@@ -151,18 +175,18 @@ def table_5(option, figures, words):
     for value, paper in figures.items():
         is_own = (option, value) in (("grid-fraction", 6), ("resolution", 64))
         network = MODELNET if is_own else ablation("modelnet40", f"{option}-{value}", words.format(value, value // 8))
-        yield Cell(clean(network.name, network), "ε 0.04", paper)
+        yield Cell(clean(network.name, network), *REPEATABILITY, paper)
 
 
-def over(option, name, figures, more=""):
+def over(option, name, figures, more=()):
     """The repeatability of the network of ModelNet40 over an option of its detection."""
     for value, paper in figures.items():
-        yield Cell(clean(f"{name}-{value}", MODELNET, f" --set {option}={value}{more}"), "ε 0.04", paper)
+        yield Cell(clean(f"{name}-{value}", MODELNET, f"{option}={value}", more), *REPEATABILITY, paper)
 
 
 def steps(points, figures):
     """Table 14: the repeatability of views of so many points after J steps."""
-    return over("refine_steps", f"points-{points}-steps", figures, f" --num-points {points}")
+    return over("refine_steps", f"points-{points}-steps", figures, (("num_points", points),))
 
 
 def timed():
@@ -184,11 +208,11 @@ ANNOTATED = (
 )
 VIEWS = f"view {SHAPE} {PAIRS}/rotated/0.npy"
 ITEMS = {
-    "tab1": Item("repeatability on KeypointNet beside UKPGAN", (Cell(BESIDE_UKPGAN),)),
-    "tab2": Item("the same of thinned and noisy clouds, ε 0.03", (Cell(BESIDE_UKPGAN, table=1), Cell(BESIDE_UKPGAN, table=2))),
+    "tab1": Item("repeatability on KeypointNet beside UKPGAN", (Cell(BESIDE_UKPGAN, "repeatability", "ε"),)),
+    "tab2": Item("the same of thinned and noisy clouds, ε 0.03", tuple(Cell(BESIDE_UKPGAN, "repeatability", f"ε 0.03, {kind}") for kind in ("1 in", "σ"))),
     "tab3": Item(
         "registration of 3DMatch: feature matching recall, inlier ratio, registration recall",
-        tuple(Cell(REGISTERED, table=table) for table in range(3)),
+        tuple(Cell(REGISTERED, name, "best") for name in ("feature matching recall", "inlier ratio", "registration recall")),
     ),
     "tab4": Item("losses left out: repeatability on ModelNet40, mIoU on KeypointNet", tuple(table_4())),
     "tab5a": Item(
@@ -198,14 +222,14 @@ ITEMS = {
         "repeatability over the resolution",
         tuple(table_5("resolution", {32: 0.62, 48: 0.79, 64: 0.85, 80: 0.78}, "--resolution {} --grid-size {}")),
     ),
-    "tab6": Item("mIoU on KeypointNet (figure 5a)", (Cell(CONSISTENT, table=1),)),
-    "tab7": Item("mIoU on SMPL (figure 5e)", (Cell(BODIES, table=1),)),
-    "tab8": Item("repeatability on ModelNet40 (figure 5b)", (Cell(REPEATED),)),
-    "tab9": Item("the same of thinned clouds, ε 0.04 (figure 5c)", (Cell(REPEATED, table=1),)),
-    "tab10": Item("the same of noisy clouds, ε 0.04 (figure 5d)", (Cell(REPEATED, table=2),)),
-    "tab11": Item("repeatability on Redwood (figure 5f)", (Cell(ROOMS),)),
-    "tab12": Item("the same of thinned clouds, ε 0.2 m (figure 5g)", (Cell(ROOMS, table=1),)),
-    "tab13": Item("the same of noisy clouds, ε 0.2 m (figure 5h)", (Cell(ROOMS, table=2),)),
+    "tab6": Item("mIoU on KeypointNet (figure 5a)", (Cell(CONSISTENT, "mIoU, as released", "threshold"),)),
+    "tab7": Item("mIoU on SMPL (figure 5e)", (Cell(BODIES, "mIoU, as released", "threshold"),)),
+    "tab8": Item("repeatability on ModelNet40 (figure 5b)", (Cell(REPEATED, "repeatability", "ε"),)),
+    "tab9": Item("the same of thinned clouds, ε 0.04 (figure 5c)", (Cell(REPEATED, "repeatability", "ε 0.04, 1 in"),)),
+    "tab10": Item("the same of noisy clouds, ε 0.04 (figure 5d)", (Cell(REPEATED, "repeatability", "ε 0.04, σ"),)),
+    "tab11": Item("repeatability on Redwood (figure 5f)", (Cell(ROOMS, "repeatability", "ε"),)),
+    "tab12": Item("the same of thinned clouds, ε 0.2 m (figure 5g)", (Cell(ROOMS, "repeatability", "ε 0.2, 1 in"),)),
+    "tab13": Item("the same of noisy clouds, ε 0.2 m (figure 5h)", (Cell(ROOMS, "repeatability", "ε 0.2, σ"),)),
     "tab14": Item(
         "repeatability over the steps J (figure 7c), and the time of a detection",
         (*steps(2048, {0: 0.795, 5: 0.835, 10: 0.851}), *steps(4096, {0: 0.811, 5: 0.850, 10: 0.864})),
@@ -223,7 +247,7 @@ ITEMS = {
     )),
     "fig6": Item("keypoints of a cloud, of two views (also figure 1), thinned and with noise", pictures=(
         picture("keypoints.html", f"view {SHAPE}"), picture("views.html", VIEWS),
-        picture("thinned.html", f"view {SHAPE} --downsample 8"), picture("noisy.html", f"view {SHAPE} --noise 0.06"),
+        picture("thinned.html", "view {run}/thinned.npy"), picture("noisy.html", "view {run}/noisy.npy"),
     )),
     "fig7": Item("saliency without the occupancy decoder (a) and over U (b)", pictures=tuple(
         picture(f"saliency-{network.name}.png", f"field {SHAPE} --quantity saliency --slice middle", network)

@@ -9,7 +9,7 @@ frames    pairs, seed: pairs of depth frames of made rooms (`snake_training.make
 drives    drives, sweeps, step, seed: pairs of sweeps of made drives (`snake_training.make drives`)
 confidence  of (an export), scenes (stages), number, rotations: the map in the file, of pairs of scenes, or else of the
           validation data (`snake_training.confidence`)
-figures   of (an export), objects, epsilon, rotations: its repeatability on the validation data (`snake_training.evaluate`)
+figures   of (an export), objects, epsilon, rotations: its repeatability on the validation data beside ISS (`snake_training.evaluation`)
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import torch
 from safetensors import safe_open
 
-from . import confidence, evaluate
+from . import confidence
 from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data.crops import Crops, write_part
@@ -238,7 +238,7 @@ class ConfidenceStage(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class FigureStage(Stage):
-    """The repeatability of an exported file."""
+    """The repeatability of an exported file, by the options that it recommends."""
 
     USES = ("of",)
     of: str
@@ -249,11 +249,16 @@ class FigureStage(Stage):
 
     def run(self, recipe, folder):
         """Kept as figures.json."""
-        smoke = dict(objects=1, num_points=256) if recipe.smoke else {}
-        given = dict(objects=self.objects, num_points=self.num_points, epsilon=self.epsilon) | smoke
-        weights, shapes = str(recipe.output_of(self.of)), recipe.shapes(folder)
-        report = evaluate.figures(weights, shapes, engine="snake-rs", rotations=self.rotations, **given)
-        recipe.keep(folder / "figures.json", report)
+        from .evaluation.run import repeatability  # with pandas: training does without it
+        from .evaluation.tables import pivot
+
+        smoke = dict(limit=1, num_points=256) if recipe.smoke else {}
+        given = dict(limit=self.objects, num_points=self.num_points, downsample=(1,), noise=(0,)) | smoke
+        weights = f"{recipe.output_of(self.of)}" + (f":rotations={self.rotations}" if self.rotations > 1 else "")
+        table = repeatability(recipe.shapes(folder), (weights, "iss"), epsilon=self.epsilon, **given)
+        columns = {f"ε {distance:g}": ("repeatability", f"ε {distance:g}") for distance in self.epsilon}
+        columns |= {name: (name, "clean") for name in ("coverage", "keypoints")}
+        recipe.keep(folder / "figures.json", pivot(table, columns).round(4).to_dict("index"))
 
 
 KINDS = {

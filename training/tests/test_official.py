@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from conftest import FOLDER
-from snake_training import body_model
 from snake_training.command_line import parse_arguments
 from snake_training.data import ShapeError, open_all, open_shapes
 from snake_training.data.official import Bodies, clouds_below
+from snake_training.evaluation.__main__ import evaluate
 from snake_training.export import main as export
 from snake_training.train import train
 
@@ -116,7 +116,7 @@ def match3d(folder):
 def smpl(folder):
     """The body model of the tests, converted, with parameters of two pairs."""
     folder.mkdir()
-    body_model.main([str(SMPL / "model.pkl"), str(folder / "model.npz")])
+    shutil.copy(SMPL / "model.npz", folder)
     rng = np.random.default_rng(0)
     np.save(folder / "pose_test_100.npy", rng.random((2, 2, 3, 3)))
     np.save(folder / "beta_test_100.npy", rng.random((2, 2, 10)))
@@ -201,7 +201,7 @@ PARAMETERS = [
 
 
 @pytest.mark.parametrize(("preset", "make", "number", "evaluation"), PARAMETERS)
-def test_a_layout_trains_exports_and_evaluates(tmp_path, snake_cli, preset, make, number, evaluation):
+def test_a_layout_trains_exports_and_evaluates(tmp_path, preset, make, number, evaluation):
     data, split = make(tmp_path / "data")
     words = ["--preset", preset, "--data", str(data), *(["--split", str(split)] if split else []), *TINY]
     config, *_ = parse_arguments([*words, "--run-dir", str(tmp_path / "run")], "")
@@ -209,11 +209,10 @@ def test_a_layout_trains_exports_and_evaluates(tmp_path, snake_cli, preset, make
     train(config)
     weights = tmp_path / "weights.safetensors"
     export([str(tmp_path / "run"), "-o", str(weights)])
-    of = [] if preset == "3dmatch" else ["--methods", "snake,random"]
-    of += ["--detectors", "snake", "--descriptors", "fpfh"] if preset == "3dmatch" else []
-    snake_cli("eval", *evaluation(tmp_path, data), "--model", weights, *of, "--limit", "2", "-o", tmp_path / "tables")
-    tables = list((tmp_path / "tables").rglob("*.csv"))
-    assert tables and all("snake" in table.read_text() for table in tables)
+    words = [*evaluation(tmp_path, data), "--methods", f"{weights}:query_resolution=12", "random", "--limit", "2"]
+    table = evaluate(list(map(str, words)))
+    methods = {method.partition(":")[0].removesuffix(" fpfh") for method in table["method"]}
+    assert methods == {str(weights), "random"} and table["value"].notna().any()
 
 
 def test_a_list_gives_the_shapes_in_its_order(tmp_path):
@@ -250,15 +249,6 @@ def test_bodies_are_posed_as_by_the_definition(name):
     posed = np.load(SMPL / "posed.npz")
     found = Bodies(SMPL / name).vertices(posed["pose"], posed["betas"])
     assert np.abs(found - posed["vertices"]).max() < 1e-12
-
-
-@pytest.mark.parametrize("name", ["model.pkl", "model_py3.pkl", "model_py3_protocol5.pkl"])
-def test_a_pickled_body_becomes_the_npz_with_the_same_arrays(name, tmp_path):
-    body_model.main([str(SMPL / name), str(tmp_path / "model.npz")])
-    found, expected = np.load(tmp_path / "model.npz"), np.load(SMPL / "model.npz")
-    assert set(found) == set(expected) and all(np.array_equal(found[name], expected[name]) for name in expected)
-    with pytest.raises(SystemExit, match="not a body model"):
-        body_model.main([__file__, str(tmp_path / "other.npz")])
 
 
 def test_bodies_lie_on_their_surface():

@@ -112,7 +112,7 @@ def test_a_list_of_other_shapes_and_an_absent_program_are_said_too(data, tmp_pat
     lists.mkdir()
     for name in ("modelnet40_train.txt", "modelnet40_val.txt"):
         (lists / name).write_text("chair_9999\n")
-    given = words(data, tmp_path / "run", snake_cli, "tab8", "--lists", str(lists))
+    given = words(data, tmp_path / "run", snake_cli, "tab8", "fig4", "--lists", str(lists))
     given[given.index("--snake-cli") + 1] = "no-such-program"
     with pytest.raises(SystemExit) as stop:
         main(given)
@@ -138,19 +138,20 @@ def test_a_dry_run_prints_every_command_with_samples_and_hours(tmp_path, capsys)
     assert "# modelnet40, seed 6: 590400 samples, about 5.7 hours of an H100" in lines
     (coarse,) = (line for line in trained if "--resolution" in line and line[line.index("--resolution") + 1] == "32")
     assert coarse[coarse.index("--grid-size") + 1] == "4"  # queries a grid grow with the resolution
-    evaluated = [line for line in lines if line.startswith("snake-cli eval repeatability") and "modelnet40" in line]
+    evaluated = [line for line in lines if "snake_training.evaluation repeatability" in line and "modelnet40" in line]
     assert evaluated and all("normalization=half" in line for line in evaluated)
     assert {line[2:].partition(":")[0] for line in lines if line.startswith("#")} >= set(ITEMS)
 
 
 def test_what_is_printed_is_what_runs(data, tmp_path, snake_cli, monkeypatch):
     """The commands of a dry run are those of the run, word for word."""
-    programme = Programme(["tab10"], data, data / "split", tmp_path, 1, smoke=True)
+    programme = Programme(["tab10", "fig4"], data, data / "split", tmp_path, 1, smoke=True)
     printed = [shlex.split(line) for line in programme.describe() if not line.startswith("#")]
     ran = []
     monkeypatch.setattr(paper, "parse_arguments", lambda given, _: ran.append(["train", *given]) or [None])
     monkeypatch.setattr(paper, "train", lambda *_: True)
     monkeypatch.setattr(paper.export, "main", lambda given: ran.append(["export", *given]))
+    monkeypatch.setattr(paper, "evaluate", lambda given: ran.append(["evaluation", *given]))
     monkeypatch.setattr(paper.subprocess, "run", lambda given, **_: ran.append(given))
     monkeypatch.setattr(Programme, "rows", lambda *_: [])
     assert programme.run("snake-cli")
@@ -169,12 +170,3 @@ def test_the_papers_figures_are_those_of_the_paper():
         pytest.skip(f"no {text}")
     figures = {f"{cell.paper:g}" for item in ITEMS.values() for cell in item.cells if cell.paper}
     assert len(figures) > 20 and [figure for figure in figures if figure not in text.read_text()] == []
-
-
-def test_tables_are_read_as_snake_cli_writes_them(tmp_path):
-    (tmp_path / "x.md").write_text(
-        "First:\n\n| method | ε 0.1 | keypoints | coverage |\n|---|---|---|---|\n| iss | 0.1 | 3 | - |\n| snake | 0.500 ±0.100 | 3 | - |\n"
-        "| snake (paper) | 0.864 | - | - |\n\nSecond:\n\n| method | 1 in 8 |\n|---|---|\n| snake | 0.2 |\n"
-    )
-    assert paper.snake_rows(tmp_path, 0) == ({"ε 0.1": "0.500 ±0.100"}, {"ε 0.1": "0.864"})
-    assert paper.snake_rows(tmp_path, 1) == ({"1 in 8": "0.2"}, {})

@@ -21,7 +21,7 @@ from snake_training.command_line import parse_arguments
 from snake_training.config import from_json
 from snake_training.data import Mixture, Procedural
 from snake_training.data.landmarks import landmarks
-from snake_training.evaluate import DetectOptions, why_none
+from snake_training.detection import DetectOptions, why_none
 from snake_training.export import load_network, read_checkpoint, write_weights
 from snake_training.losses import LOSSES, losses_of
 from snake_training.model import SnakeNetwork

@@ -7,7 +7,6 @@ use clap_complete::Shell;
 
 use crate::align::args::AlignArguments;
 use crate::detect::args::DetectArguments;
-use crate::eval::args::Eval;
 use crate::field::args::FieldArguments;
 use crate::reconstruct::ReconstructArguments;
 use crate::register::args::RegisterArguments;
@@ -37,13 +36,9 @@ Environment:
   SNAKE_MODELS   folder in which named models are looked up
   SNAKE_THREADS  default of --threads: the number of threads
   SNAKE_SIMD     portable, avx2, avx512 or neon; default: the best level of the processor
-  SNAKE_CONFIG   configuration file; default: snake.toml in the working folder, if there is one
   NO_COLOR       turns colours off; colours are only used on a terminal
 
-Configuration (snake.toml): model = \"NAME or FILE\", threads = N, [options] for every model, and
-[models.NAME] or [models.'FILE'] for one. Options have the names that `snake-cli options` prints. The
-command line comes first, then the environment, then the configuration, then what the model recommends;
-with --preset the options of the configuration do not apply."
+The command line comes first, then the environment, then what the model recommends."
 )]
 pub struct Arguments {
     #[command(subcommand)]
@@ -91,12 +86,9 @@ pub enum Command {
   snake-cli detect part.stl --sample 20000 -o keypoints.ply
   snake-cli detect room.pcd -o keypoints.ply --voxel-size 0.04 --set snap=true
   snake-cli detect - --input-format xyz -o - --format csv < scan.txt > keypoints.csv
-  snake-cli detect city.laz --tile 50 -o keypoints.parquet
+  snake-cli detect city.laz --tile 50 -o keypoints.laz
   snake-cli detect scan.ply --json | jq '.keypoints[0]'")]
     Detect(Box<DetectArguments>),
-    /// Evaluate keypoints on a data set and compare them with classical detectors.
-    #[command(subcommand)]
-    Eval(Eval),
     /// Draw the occupancy or saliency field of a cloud, or write its values on a grid.
     ///
     /// A picture (.png) is a maximum projection along an axis, as in the paper's figures, or a slice (--slice). The
@@ -159,7 +151,7 @@ pub enum Command {
         #[arg(env = "SNAKE_MODEL", hide_env_values = true)]
         file: Option<PathBuf>,
     },
-    /// List the options that --set, `snake.toml` and Python take, with their values.
+    /// List the options that --set and Python take, with their values.
     #[command(after_help = "Examples:
   snake-cli options
   snake-cli detect scan.ply --set mode_radius=4% --set snap=true")]
@@ -177,12 +169,5 @@ pub enum Command {
     Completions {
         /// The shell.
         shell: Shell,
-    },
-    /// Write the manual pages of snake-cli and of its sub-commands to a folder.
-    #[command(after_help = "Examples:
-  snake-cli manual ~/.local/share/man/man1")]
-    Manual {
-        /// The folder; it is made if it does not exist.
-        folder: PathBuf,
     },
 }

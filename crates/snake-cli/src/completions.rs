@@ -1,6 +1,4 @@
-//! Completion scripts for shells, and manual pages.
-
-use std::path::Path;
+//! Completion scripts for shells.
 
 use anyhow::Result;
 use clap::CommandFactory;
@@ -18,20 +16,4 @@ pub fn print(shell: Shell) -> Result<()> {
         script = String::from_utf8(script)?.replace("snake__subcmd__cli", "snake__cli").into_bytes();
     }
     terminal::print_bytes(&script)
-}
-
-/// Writes `snake-cli.1`, `snake-cli-detect.1` and so on to a folder.
-#[cfg(feature = "manual")]
-pub fn write_manual(folder: &Path) -> Result<()> {
-    use anyhow::Context;
-
-    let named = || folder.display().to_string();
-    std::fs::create_dir_all(folder).with_context(named)?;
-    clap_mangen::generate_to(Arguments::command(), folder).with_context(named)
-}
-
-/// Refuses to write the manual pages, which need another crate.
-#[cfg(not(feature = "manual"))]
-pub fn write_manual(folder: &Path) -> Result<()> {
-    anyhow::bail!("{}: this build lacks the feature `manual`; {}", folder.display(), crate::features::advice("manual"))
 }

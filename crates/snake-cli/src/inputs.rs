@@ -69,12 +69,7 @@ pub struct ColumnArguments {
 }
 
 impl ColumnArguments {
-    /// Reads a cloud of a data set.
-    pub fn read(&self, path: &Path) -> Result<Cloud> {
-        Ok(io::read_cloud(path, &self.options())?)
-    }
-
-    /// The options that read the clouds of a data set.
+    /// The options that read clouds.
     pub fn options(&self) -> ReadOptions {
         ReadOptions::default().with_columns(self.columns.clone())
     }
@@ -176,22 +171,13 @@ fn point_format(extension: &str) -> Result<PointFormat> {
 }
 
 /// The files to read: named files, files that match a pattern, and the clouds in directories. The files of a pattern or
-/// a directory are sorted by name, and each is given once. A format selects its files. A directory that is
-/// an input itself, such as a bag of ROS 2 for `detect`, is kept.
-pub fn expand(
-    inputs: &[PathBuf],
-    format: Option<PointFormat>,
-    is_input: impl Fn(&Path) -> bool,
-) -> Result<Vec<PathBuf>> {
+/// a directory are sorted by name, and each is given once. A format selects its files.
+pub fn expand(inputs: &[PathBuf], format: Option<PointFormat>) -> Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
         let mut paths = Vec::new();
         for path in matching(input)? {
-            if path.is_dir() && !is_input(&path) {
-                paths.append(&mut clouds_in(&path, format)?)
-            } else {
-                paths.push(path)
-            }
+            if path.is_dir() { paths.append(&mut clouds_in(&path, format)?) } else { paths.push(path) }
         }
         files.append(&mut each_once(paths));
     }
@@ -260,13 +246,13 @@ fn without_clouds(folder: &Path, format: Option<PointFormat>, files: &[PathBuf])
     if !files.is_empty() {
         text += &format!("; it has {} other files: {}", files.len(), listed(files));
     }
-    let with = |extensions: &[&str]| {
-        let is_one = |file: &&PathBuf| file.extension().is_some_and(|own| extensions.iter().any(|one| own == *one));
-        files.iter().find(is_one)
-    };
-    match (with(&["mcap", "db3"]), with(&["bin"]), format) {
+    let with = |extension: &str| files.iter().find(|file| file.extension().is_some_and(|own| own == extension));
+    match (with("mcap"), with("db3"), with("bin"), format) {
         (Some(recording), ..) => text += &format!("; a recording is an input of its own: {}", recording.display()),
-        (_, Some(_), None) => text += "; .bin files need --input-format kitti or nuscenes",
+        (_, Some(bag), ..) => {
+            text += &PointFormat::from_path(bag).map_or_else(|error| format!("; {error}"), |_| String::new())
+        }
+        (.., Some(_), None) => text += "; .bin files need --input-format kitti or nuscenes",
         _ => text += &format!("; a pattern finds those in its folders: '{folder}/**/*.ply'"),
     }
     text
@@ -287,7 +273,7 @@ mod tests {
         let files = |patterns: &[&str]| -> Result<Vec<String>> {
             let inputs: Vec<PathBuf> = patterns.iter().map(|pattern| root.join(pattern)).collect();
             let name = |path: &PathBuf| path.strip_prefix(root).unwrap().display().to_string().replace('\\', "/");
-            Ok(expand(&inputs, None, |_| false)?.iter().map(name).collect())
+            Ok(expand(&inputs, None)?.iter().map(name).collect())
         };
         assert_eq!(files(&["deep/d.pcd", "?.ply"]).unwrap(), ["deep/d.pcd", "a.ply", "b.ply"]);
         assert_eq!(files(&["**/[de].*"]).unwrap(), ["deep/d.pcd", "deep/er/e.ply"]);
@@ -308,7 +294,7 @@ mod tests {
         }
         let files = |format: &str| -> Result<Vec<String>> {
             let format = PointFormat::from_extension(format);
-            let paths = expand(&[folder.path().to_owned()], format, |_| false)?;
+            let paths = expand(&[folder.path().to_owned()], format)?;
             Ok(paths.iter().map(|path| path.file_name().unwrap().to_string_lossy().into_owned()).collect())
         };
         assert_eq!(files("kitti").unwrap(), ["0.BIN", "1.bin"]);
@@ -327,7 +313,7 @@ mod tests {
         let error = |names: &[&str]| {
             let folder = tempfile::tempdir().unwrap();
             names.iter().for_each(|name| std::fs::write(folder.path().join(name), "").unwrap());
-            expand(&[folder.path().to_owned()], None, |_| false).unwrap_err().to_string()
+            expand(&[folder.path().to_owned()], None).unwrap_err().to_string()
         };
         assert!(
             error(&["0.bin", "1.bin"]).contains("2 other files: 0.bin, 1.bin; .bin files need --input-format kitti")

@@ -4,11 +4,7 @@
 mod align;
 mod args;
 mod completions;
-mod config;
 mod detect;
-mod disturb;
-mod eval;
-mod features;
 mod field;
 mod flags;
 mod inputs;
@@ -73,7 +69,6 @@ fn run_command(command: &Command) -> Result<u8> {
     match command {
         Command::Align(arguments) => return align::run(arguments),
         Command::Detect(arguments) => return detect::run(arguments),
-        Command::Eval(command) => return eval::run(command),
         Command::Field(arguments) => field::run(arguments)?,
         Command::Reconstruct(arguments) => reconstruct::run(arguments)?,
         Command::Register(arguments) => return register::run(arguments),
@@ -82,7 +77,6 @@ fn run_command(command: &Command) -> Result<u8> {
         Command::Options => set::list()?,
         Command::Schema => terminal::print_bytes(include_bytes!("schema.json"))?,
         Command::Completions { shell } => completions::print(*shell)?,
-        Command::Manual { folder } => completions::write_manual(folder)?,
     }
     Ok(SUCCESS)
 }

@@ -9,7 +9,6 @@ use serde_json::json;
 use snake_core::{Control, MeshOptions, Progress, with_named_values};
 use snake_io as io;
 
-use crate::disturb::DisturbArguments;
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, output_origin};
 use crate::setup::{ComputeArguments, EncodeFlags, detail_of};
@@ -24,8 +23,6 @@ pub struct ReconstructArguments {
     pub output: PathBuf,
     #[command(flatten)]
     reading: InputArguments,
-    #[command(flatten)]
-    disturb: DisturbArguments,
     /// Print one JSON object on one line instead of text.
     #[arg(long)]
     pub json: bool,
@@ -50,7 +47,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let cloud = arguments.disturb.apply(arguments.reading.read(input, chooser.seed())?, chooser.seed())?;
+    let cloud = arguments.reading.read(input, chooser.seed())?;
     let name = input.display().to_string();
     let read = start.elapsed().as_secs_f64();
     let chosen = chooser.for_cloud(&cloud).with_context(|| name.clone())?;

@@ -7,14 +7,14 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{Builtin, Chooser, Chosen, Cloud, EncodeOptions, Length, Model, NamedModel, Options, SimdLevel};
+use snake_core::{Builtin, Chooser, Chosen, EncodeOptions, NamedModel, SimdLevel};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
 use crate::inputs::check_inputs;
 use crate::output::InputFiles;
 use crate::set::SetArguments;
-use crate::{config, model, terminal};
+use crate::{model, terminal};
 
 /// The most threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
@@ -39,11 +39,7 @@ pub struct ComputeArguments {
 impl ComputeArguments {
     /// Starts the threads. Call it before any computation.
     pub fn start_threads(&self) -> Result<()> {
-        let threads = match self.threads {
-            None => config::get()?.threads,
-            given => given,
-        };
-        if let Some(threads) = threads {
+        if let Some(threads) = self.threads {
             let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
             if threads == 0 || usize::from(threads) > most {
                 bail!("--threads is {threads}: allowed is 1 to {most}");
@@ -69,29 +65,16 @@ impl ComputeArguments {
         outputs.into_iter().try_for_each(|path| files.refuse_as_output(path))
     }
 
-    /// Loads the model of `--model`, or else the built-in model `which`. `start` gives the options that `snake.toml` then changes.
-    pub fn load_model(&self, which: Option<Builtin>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
-        load(self.named()?.or(which.map(|which| Path::new(which.name()))), start)
-    }
-
-    /// The built-in model that suits a cloud and given values of options; `None` if `--model` names one.
-    pub fn suited(
-        &self,
-        values: &Map<String, Value>,
-        cloud: impl FnOnce() -> Result<Cloud>,
-    ) -> Result<Option<Builtin>> {
-        if self.named()?.is_some() {
-            return Ok(None);
-        }
-        let chooser = Chooser::default().with_values(values)?;
-        Ok(chooser.for_cloud(&cloud()?)?.which)
+    /// Loads the model of `--model`, or else the built-in model `which`, with the options that it recommends.
+    pub fn load_model(&self, which: Builtin) -> Result<NamedModel> {
+        load(self.model.as_deref().unwrap_or(Path::new(which.name())))
     }
 
     /// The chooser of model and options for each cloud, for given values of options.
     pub fn chooser(&self, values: &Map<String, Value>) -> Result<Chooser> {
-        let chooser = match self.named()? {
-            Some(path) => load(Some(path), recommended)?.into(),
-            None => configured_chooser()?,
+        let chooser = match &self.model {
+            Some(path) => load(path)?.into(),
+            None => Chooser::default(),
         };
         Ok(chooser.with_values(values)?)
     }
@@ -99,25 +82,9 @@ impl ComputeArguments {
     /// [`ComputeArguments::chooser`] for a registration; `None` if its options run no model and none is named. A named
     /// model is always loaded, so that a mistake in its name is reported.
     pub fn chooser_of_registration(&self, options: &RegisterOptions) -> Result<Option<Chooser>> {
-        let is_used = options.needs_model() || self.named()?.is_some();
+        let is_used = options.needs_model() || self.model.is_some();
         is_used.then(|| self.chooser(&Map::new())).transpose()
     }
-
-    /// The model that is named on the command line, in the environment or in the configuration.
-    fn named(&self) -> Result<Option<&Path>> {
-        Ok(match &self.model {
-            None => config::get()?.model.as_deref(),
-            given => given.as_deref(),
-        })
-    }
-}
-
-/// The choice between the built-in models, with their options as the configuration changes them.
-fn configured_chooser() -> Result<Chooser> {
-    let config = config::get()?;
-    Builtin::ALL.into_iter().try_fold(Chooser::default(), |chooser, which| {
-        Ok(chooser.with_options(which, config.options_of(Path::new(which.name()), &which.recommended())?))
-    })
 }
 
 /// Prints the model and the options of a cloud, with `--verbose`.
@@ -126,19 +93,12 @@ pub fn detail_of(chosen: &Chosen) {
     terminal::detail("options", || serde_json::to_string(&chosen.options).unwrap_or_default());
 }
 
-/// The options that a model recommends.
-pub fn recommended(model: &Model) -> Options {
-    *model.recommended()
-}
-
-/// Loads a model with the options that the configuration makes of those of `start`.
-pub fn load(path: Option<&Path>, start: impl Fn(&Model) -> Options) -> Result<NamedModel> {
+/// Loads a model with the options that it recommends.
+fn load(path: &Path) -> Result<NamedModel> {
     let began = Instant::now();
-    let model = model::load(path)?;
-    let name = model::name(path);
-    let options = config::get()?.options_of(path.unwrap_or(Path::new("compact")), &start(&model))?;
-    terminal::detail("loaded", || format!("{name}, {:.3} s", began.elapsed().as_secs_f64()));
-    Ok(NamedModel::new(model, name).with_options(options))
+    let model = NamedModel::new(model::load(Some(path))?, model::name(Some(path)));
+    terminal::detail("loaded", || format!("{}, {:.3} s", model.name, began.elapsed().as_secs_f64()));
+    Ok(model)
 }
 
 /// Options of the encoding. Each one defaults to the value of the preset, or else to the model's recommended value.
@@ -161,21 +121,11 @@ impl EncodeFlags {
         self.encode.given().into_iter().chain(self.set.given()).collect()
     }
 
-    /// The name of the preset.
-    pub fn preset(&self) -> Option<&str> {
-        self.preset.as_deref()
-    }
-
     /// [`EncodeFlags::given`] with the preset.
     pub fn values(&self) -> Map<String, Value> {
         let preset = self.preset.iter().map(|name| ("preset".to_owned(), name.clone().into()));
         self.given().into_iter().chain(preset).collect()
     }
-}
-
-/// The length, or `None` for 0, which turns the option off.
-pub fn none_if_zero(length: Length) -> Option<Length> {
-    Some(length).filter(|length| *length != Length::Units(0.0))
 }
 
 /// Parses the value of an option from its name in weight files and reports.

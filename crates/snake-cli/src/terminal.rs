@@ -15,8 +15,6 @@ use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use snake_core::{Field, Progress, Stage, is_harmful, printable, shortened};
 
-use crate::features;
-
 /// How much is printed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum Verbosity {
@@ -148,9 +146,6 @@ pub fn error(error: &anyhow::Error) {
         if !text.ends_with(&cause) {
             text += &format!(": {cause}");
         }
-    }
-    if let Some(feature) = features::missing(error) {
-        text += &format!("; {}", features::advice(feature));
     }
     say_error(&text);
 }

@@ -1,9 +1,9 @@
-//! A deadline, limits, cancellation and progress of long calls: `cargo run --release -p snake-core --example control`.
+//! A deadline, cancellation and progress of long calls: `cargo run --release -p snake-core --example control`.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
-use snake_core::{Builtin, CancelFlag, Control, Error, Limits, Model, Point, Progress, Result};
+use snake_core::{Builtin, CancelFlag, Control, Error, Model, Point, Progress, Result};
 
 /// A torus of 4000 points, with a radius of 1 and a tube of 0.3.
 fn torus() -> Vec<Point> {
@@ -26,11 +26,6 @@ fn main() -> Result<()> {
         Err(Error::DeadlineExceeded) => println!("the deadline passed"),
         Err(error) => return Err(error),
     }
-
-    // A call that would exceed a limit is refused before it begins.
-    let limits = Limits::default().with_max_points(Some(1000));
-    let refused = model.detect_with(&points, model.recommended(), &Control::new().limits(limits));
-    println!("refused: {}", matches!(refused, Err(Error::LimitExceeded { .. })));
 
     // Another thread cancels the call. A cancelled call leaves nothing behind: the model can be used again at once.
     let cancel = CancelFlag::default();

@@ -50,16 +50,6 @@ pub enum Error {
         /// The allowed values.
         allowed: &'static str,
     },
-    /// The call would exceed a limit that the caller set with [`Control::limits`](crate::Control::limits).
-    #[error("{number} {what} are above the limit of {limit} for this call")]
-    LimitExceeded {
-        /// The limited quantity.
-        what: &'static str,
-        /// How much of it the call needs.
-        number: usize,
-        /// How much of it the call may use.
-        limit: usize,
-    },
     /// The caller cancelled the call with its [`CancelFlag`](crate::CancelFlag).
     #[error("cancelled")]
     Cancelled,

@@ -9,7 +9,7 @@
 //!
 //! | folder | content |
 //! |---|---|
-//! | `control/` | control of a call: progress, cancellation, limits, threads |
+//! | `control/` | control of a call: progress, cancellation, deadline, threads |
 //! | `options/` | options of encoding, detection and meshes |
 //! | `cloud/` | the used points of a cloud, and its measures |
 //! | `lattice/` | where voxels and queries lie: in a cube, or about the points of a scene |
@@ -17,7 +17,7 @@
 //! | `field/` | encode once, query many; grid; surface |
 //! | `detect/` | Algorithm 1, a step a file; tiles |
 //! | `choose/` | which model a cloud gets |
-//! | `live/` | the same for the next frame: detector, real time, tracker |
+//! | `live/` | the same for the next frame |
 //!
 //! Each of them uses those above it, and none below.
 //!
@@ -26,13 +26,11 @@
 //! | a cloud | its keypoints | [`Model::detect`] |
 //! | a cloud | occupancy, saliency, descriptors or a mesh as well | [`Model::encode`], then [`Field`] |
 //! | one cloud after another | the keypoints of each, in the volumes of the last | [`FrameDetector`] |
-//! | keypoints of frames | the same keypoint in each frame | [`Tracker`] |
 //! | a cloud larger than memory | keypoints | [`TileDetector`], or the crate `snake-tiles` |
-//! | a time limit or a server | progress, cancellation, limits | [`Control`], with the methods that end in `_with` |
+//! | a time limit or a server | progress, cancellation, a deadline | [`Control`], with the methods that end in `_with` |
 //!
 //! Results have the same bits for any number of threads. The crate `snake-geometry` has points and what can be said of
-//! them without a network, `snake-eval` the metrics of keypoints, and `snake-detectors` classical detectors for
-//! comparison.
+//! them without a network, and `snake-detectors` classical detectors for comparison.
 
 #![forbid(unsafe_code)]
 
@@ -56,18 +54,15 @@ pub mod steps;
 
 #[cfg(feature = "builtin-models")]
 pub use builtin::Builtin;
-pub use choose::scale_hint;
 #[cfg(feature = "builtin-models")]
 pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
-pub use control::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, parallel_map};
-pub use detect::{
-    Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint,
-};
+pub use control::{CancelFlag, Control, Counter, Progress, Stage, check_num_threads, parallel_map};
+pub use detect::{Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank};
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
-pub use live::{FrameDetector, Tracker, TrackerOptions};
+pub use live::FrameDetector;
 pub use model::Model;
 pub use network::{ModelConfig, Scatter, Volume, read_weight_file};
 #[doc(hidden)]
@@ -78,8 +73,6 @@ pub use options::{
     DetectOptions, EncodeOptions, MeshOptions, MeshSurface, Options, Preference, Preset, RefineMethod, Selection,
     with_named_values,
 };
-#[cfg(feature = "arrow")]
-pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{
     Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
     OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,

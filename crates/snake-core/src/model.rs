@@ -75,13 +75,12 @@ impl Model {
         self.encode_with(points, options, &Control::default())
     }
 
-    /// [`Model::encode`] with progress, cancellation and limits.
+    /// [`Model::encode`] with progress, cancellation and a deadline.
     ///
     /// # Errors
-    /// The errors of [`Model::encode`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
+    /// The errors of [`Model::encode`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
     pub fn encode_with(&self, points: &[Point], options: &EncodeOptions, control: &Control) -> Result<Field> {
         self.network.check_encode(options)?;
-        control.get_limits().check_points(points.len())?;
         self.field(UsedCloud::new(points)?, options, control)
     }
 
@@ -113,13 +112,12 @@ impl Model {
         self.detect_with(points, options, &Control::default())
     }
 
-    /// [`Model::detect`] with progress, cancellation and limits.
+    /// [`Model::detect`] with progress, cancellation and a deadline.
     ///
     /// # Errors
-    /// The errors of [`Model::detect`]; [`Error::Cancelled`], [`Error::DeadlineExceeded`] and [`Error::LimitExceeded`].
+    /// The errors of [`Model::detect`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
     pub fn detect_with(&self, points: &[Point], options: &Options, control: &Control) -> Result<Detection> {
         self.network.check(options)?;
-        control.get_limits().check_points(points.len())?;
         self.detect_used(UsedCloud::new(points)?, options, control)
     }
 
@@ -134,7 +132,6 @@ impl Model {
 
     /// The keypoints of a cloud. The options are valid.
     fn detect_used(&self, cloud: UsedCloud, options: &Options, control: &Control) -> Result<Detection> {
-        self.network.check_evaluations(options, control.get_limits())?;
         let start = Instant::now();
         let field = self.field(cloud, &options.encode, control)?;
         let encode = start.elapsed().as_secs_f64();

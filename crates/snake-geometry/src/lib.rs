@@ -37,8 +37,6 @@ pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_s
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};
-#[cfg(feature = "arrow")]
-pub use source::ArrowPoints;
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{
     Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, sample, suppress,

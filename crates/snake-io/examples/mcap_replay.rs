@@ -1,5 +1,5 @@
 //! Keypoints of each cloud of a recording, written back as a topic:
-//! `cargo run --release -p snake-io --features mcap --example mcap_replay -- IN.mcap OUT.mcap TOPIC`.
+//! `cargo run --release -p snake-io --example mcap_replay -- IN.mcap OUT.mcap TOPIC`.
 
 use std::collections::BTreeMap;
 use std::error::Error;

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use crate::formats::PointFormat;
 use crate::formats::{pcd, ply, sweep};
-#[cfg(feature = "laz")]
 use crate::las;
 use crate::table::Table;
 use crate::{Error, Result, text};
@@ -53,7 +52,6 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
         PointFormat::Kitti => named(sweep::table(&bytes, 4)),
         PointFormat::Nuscenes => named(sweep::table(&bytes, 5)),
         PointFormat::Sweep(num_values) => named(sweep::table(&bytes, num_values.into())),
-        #[cfg(feature = "laz")]
         PointFormat::Las => scanned(las::intensities_and_colors(&bytes).unwrap_or_default()),
         _ => Attributes::default(),
     };
@@ -66,7 +64,6 @@ fn any<const N: usize>(table: &Table, sets: &[[&str; N]]) -> Option<Vec<[f64; N]
 }
 
 /// The intensities and colours of a laser scan. Writers without a sensor for one leave zeros.
-#[cfg(feature = "laz")]
 fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
     let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
     let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));

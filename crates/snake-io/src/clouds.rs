@@ -9,7 +9,6 @@ use snake_geometry::{Cloud, Point, setters};
 use crate::arrays::npy;
 use crate::crs::Crs;
 use crate::formats::PointFormat;
-#[cfg(feature = "laz")]
 use crate::las;
 use crate::text::columns::Columns;
 use crate::{Error, Result};
@@ -101,7 +100,6 @@ pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnM
     let format = format_of(path)?;
     let io_error = |source| Error::Io { path: path.into(), source };
     let format_error = |reason| Error::Format { path: path.into(), reason };
-    #[cfg(feature = "laz")]
     if (format, &options.columns, options.sample) == (PointFormat::Las, &None, None) {
         let file = std::io::BufReader::with_capacity(1 << 20, File::open(path).map_err(io_error)?);
         return las::for_each_position(file, found).map_err(format_error);
@@ -148,10 +146,7 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
         let cloud = Cloud::from_positions(npy::positions(bytes, options.columns.as_ref())?);
         return Ok(Contents { cloud, ..Contents::default() });
     }
-    #[cfg(feature = "laz")]
     let crs = if format == PointFormat::Las { las::crs(bytes) } else { None };
-    #[cfg(not(feature = "laz"))]
-    let crs = None;
     crs.iter().try_for_each(Crs::check_lengths)?;
     let shape = format.read(bytes, options.columns.as_ref(), options.sample.is_some())?;
     let viewpoint = shape.viewpoint;
@@ -164,13 +159,4 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
     };
     let dominant_face = shape.dominant_face;
     Ok(Contents { cloud: shape.into_cloud(), unsampled_faces, dominant_face, viewpoint, crs })
-}
-
-/// Reads clouds with equal numbers of points from an `.npy` array `(S, N, C)`, `C >= 3`, of floats or integers.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
-pub fn read_clouds(path: &Path) -> Result<Vec<Vec<Point>>> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-    npy::read_clouds(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }

@@ -29,7 +29,6 @@ impl Crs {
     }
 }
 
-#[cfg(feature = "laz")]
 impl Crs {
     /// The system that a text describes: WKT of version 1 or 2.
     pub(crate) fn from_wkt(text: &str) -> Self {
@@ -59,7 +58,6 @@ impl Crs {
     }
 }
 
-#[cfg(feature = "laz")]
 /// The element that a text begins with, up to its closing bracket.
 fn element(text: &str) -> &str {
     let mut depth = 0;
@@ -70,7 +68,6 @@ fn element(text: &str) -> &str {
     end.map_or(text, |(end, _)| &text[..=end])
 }
 
-#[cfg(feature = "laz")]
 /// The EPSG code of an element: its own is the last one in it.
 fn epsg(element: &str) -> Option<u32> {
     let at = element.rfind("AUTHORITY[\"EPSG\",").or_else(|| element.rfind("ID[\"EPSG\","))?;
@@ -78,7 +75,7 @@ fn epsg(element: &str) -> Option<u32> {
     code.parse().ok()
 }
 
-#[cfg(all(test, feature = "laz"))]
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -24,14 +24,6 @@ pub enum Error {
         /// The fault, with the line or the byte offset where one is known.
         reason: String,
     },
-    /// A file of a format that this build does not read or write.
-    #[error("{}: this build lacks the feature `{feature}` of snake-io", shortened_value(&path.display()))]
-    Feature {
-        /// The file.
-        path: PathBuf,
-        /// The feature of this crate.
-        feature: &'static str,
-    },
     /// An argument cannot be used.
     #[error("{what}: {}", shortened(reason))]
     Input {

@@ -36,7 +36,6 @@
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
 //! | `las`, `laz`, `e57` | coordinates | | only `laz`, with extra dimensions |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
-//! | `parquet` (feature `parquet`) | | | columns as in csv and a geometry, GeoParquet 1.1 |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
 //! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
@@ -61,12 +60,9 @@ mod clouds;
 mod crs;
 mod error;
 mod formats;
-#[cfg(feature = "laz")]
 mod las;
-#[cfg(feature = "mcap")]
 mod logs;
 mod poses;
-mod read_keypoints;
 mod table;
 #[cfg(test)]
 mod tests;
@@ -74,30 +70,21 @@ mod text;
 mod transform;
 mod write;
 
-pub use arrays::array::Array;
-#[cfg(feature = "npz")]
-pub use arrays::array_files::{find_arrays, read_arrays};
-pub use arrays::array_files::{read_array, write_volume};
+pub use arrays::array_files::write_volume;
 pub use atomic::{TEMPORARY, hold_writes, sync_folder, write_atomically};
 pub use attributes::{Attributes, read_attributes};
 pub use clouds::{
-    Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_clouds, read_contents,
-    read_points,
+    Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_contents, read_points,
 };
 pub use crs::Crs;
 pub use error::{Error, Result};
 pub use formats::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
-#[cfg(feature = "laz")]
 pub use las::copc::{Copc, LocalFile, Ranges};
-#[cfg(feature = "mcap")]
 pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
-pub use read_keypoints::read_keypoints;
 pub use snake_geometry::Cloud;
 pub use text::columns::{Column, Columns};
-pub use transform::{
-    REGISTRATION_EXTENSIONS, check_registration_path, read_transform, read_transforms, write_registration,
-};
+pub use transform::{REGISTRATION_EXTENSIONS, check_registration_path, read_transform, write_registration};
 pub use write::json::keypoint_json;
 pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
@@ -105,5 +92,4 @@ pub use write::{adds_origin, write_cloud, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.
-#[cfg(any(feature = "e57", feature = "gltf", feature = "laz", feature = "mcap", feature = "npz"))]
 const MAX_EXPANSION: usize = 50;

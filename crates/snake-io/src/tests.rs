@@ -188,7 +188,6 @@ fn unknown_extensions_are_refused_with_the_list() {
 }
 
 /// A LAS file with a further record of the user `LASF_Projection`.
-#[cfg(feature = "laz")]
 fn with_record(number: u16, data: &[u8]) -> Vec<u8> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/io/good/format_2.las");
     let mut bytes = std::fs::read(path).unwrap();
@@ -206,7 +205,6 @@ fn with_record(number: u16, data: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-#[cfg(feature = "laz")]
 fn laser_scans_in_degrees_are_refused_with_what_to_do() {
     let keys = |kind: u16, key: u16, code: u16| -> Vec<u8> {
         [1, 1, 0, 2, 1024, 0, 1, kind, key, 0, 1, code].iter().flat_map(|n: &u16| n.to_le_bytes()).collect()

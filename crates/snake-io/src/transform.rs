@@ -5,7 +5,6 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::arrays::npy;
 use crate::formats::{extension, unknown_extension};
 use crate::text::{matrix, write_rows};
 use crate::{Error, Result, write_atomically};
@@ -37,16 +36,6 @@ pub(crate) fn read_text(bytes: &[u8]) -> std::result::Result<RigidTransform, Str
 /// The transform of these rows.
 fn checked(rows: [[f64; 4]; 4]) -> std::result::Result<RigidTransform, String> {
     RigidTransform::from_matrix(rows).map_err(|error| error.to_string())
-}
-
-/// Reads rigid transforms from an `.npy` array `(S, 3, 4)` or `(S, 4, 4)` of floats or integers. A missing fourth row
-/// is 0 0 0 1.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it does not hold such an array.
-pub fn read_transforms(path: &Path) -> Result<Vec<RigidTransform>> {
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
-    npy::read_transforms(&bytes).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
 /// Reads a rigid transform.

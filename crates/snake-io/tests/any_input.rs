@@ -147,11 +147,6 @@ proptest! {
         let header = format!("{{'descr': '{item}', 'fortran_order': False, 'shape': ({}), }}\n", lengths.join(", "));
         let bytes = [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &data].concat();
         checks::read_cloud(&bytes, PointFormat::Npy);
-        let file = tempfile::NamedTempFile::new().unwrap();
-        std::fs::write(file.path(), &bytes).unwrap();
-        let num_points: usize = io::read_clouds(file.path()).unwrap_or_default().iter().map(Vec::len).sum();
-        let num_transforms = io::read_transforms(file.path()).unwrap_or_default().len();
-        prop_assert!(num_points.max(num_transforms) <= data.len());
     }
 
     #[test]
@@ -202,8 +197,8 @@ proptest! {
         let keypoints: Vec<Keypoint> = points.iter().map(keypoint).collect();
         let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();
-        // LAZ rounds, and Parquet is not JSON: both have tests of their own.
-        for extension in io::KEYPOINT_EXTENSIONS.iter().filter(|extension| !matches!(**extension, "laz" | "parquet")) {
+        // LAZ rounds, and has tests of its own.
+        for extension in io::KEYPOINT_EXTENSIONS.iter().filter(|extension| **extension != "laz") {
             let path = folder.path().join(format!("keypoints.{extension}"));
             io::write_keypoints(&path, &keypoints, &KeypointSource::new(&path, [0.0; 3])).unwrap();
             if PointFormat::from_path(&path).is_ok() {

@@ -1,6 +1,5 @@
 //! The memory that reading and detection take per point.
 
-#[cfg(feature = "mcap")]
 mod messages;
 
 use peak_alloc::PeakAlloc;
@@ -75,12 +74,10 @@ fn memory_grows_by_few_bytes_for_each_point() {
     // The file has 24 bytes a point, and the cloud 12.
     let bytes = bytes_per_point(SIZES.map(read));
     assert!(bytes <= 40, "reading: {bytes} bytes a point");
-    #[cfg(feature = "mcap")]
     recordings_take_the_memory_of_a_few_clouds(folder.path());
 }
 
 /// A recording of a thousand clouds of 12 kB.
-#[cfg(feature = "mcap")]
 fn recordings_take_the_memory_of_a_few_clouds(folder: &std::path::Path) {
     use mcap::records::MessageHeader;
 

@@ -41,13 +41,12 @@ mod register;
 mod result;
 mod rigid;
 pub mod steps;
-mod tuning;
 
 pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{PreparedMap, register, register_pair, register_with};
-pub use result::{CloudReport, Fit, Hypothesis, Instance, Matches, Registration, Verdict, ViewpointUsed};
+pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use snake_detectors::Detector;
 pub use steps::describe::describe_keypoints;

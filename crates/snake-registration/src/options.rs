@@ -74,9 +74,6 @@ options! {
         initial, with_initial: Option<RigidTransform> = None, none "a search";
         /// Largest number of transforms to return, best first.
         hypotheses, with_hypotheses: usize = 1, from 1 or more;
-        /// Largest number of poses of the source in the target, such as of equal parts in a bin, each
-        /// with a verdict. With more than 1, point pairs of the voxels are compared, not descriptors.
-        instances, with_instances: usize = 1, from 1 or more, flag "NUMBER";
         /// Whether to find the scale of the source too, such as of a cloud from photogrammetry.
         ///
         /// Factors of 0.2 to 5 are tried until one is reliable. `t_target_source` stays rigid: the
@@ -228,10 +225,6 @@ impl PairOptions {
 
     pub(crate) fn check(&self) -> Result<()> {
         self.check_ranges()?;
-        if self.instances > 1 && (self.initial.is_some() || self.estimate_scale) {
-            let allowed = "1 with `initial` or `estimate_scale`, which lead to one pose only";
-            return Err(Error::Option { name: "instances", value: self.instances.to_string(), allowed });
-        }
         if self.estimate_scale && self.initial.is_some() {
             let allowed = "false with `initial`, which has no scale";
             return Err(Error::Option { name: "estimate_scale", value: "true".into(), allowed });

@@ -26,10 +26,6 @@ pub struct Registration {
     /// The best distinct transforms, best first, at most as many as asked for. The first is
     /// `t_target_source`.
     pub hypotheses: Vec<Hypothesis>,
-    /// The poses of the source in the target whose points do not overlap, the most confident first;
-    /// empty if one was asked for. The first is `t_target_source`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub instances: Vec<Instance>,
     /// Run time in seconds.
     pub seconds: f64,
 }
@@ -40,18 +36,6 @@ fn one() -> f64 {
 
 fn is_one(scale: &f64) -> bool {
     *scale == 1.0
-}
-
-/// One of several poses of the source in the target.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct Instance {
-    /// Maps source points to the target frame: `p_target = R p_source + t`.
-    pub t_target_source: RigidTransform,
-    /// Whether this pose can be relied on. Poses elsewhere in the target are no rivals of it.
-    pub verdict: Verdict,
-    /// How well the clouds fit under this pose.
-    pub fit: Fit,
 }
 
 /// Whether a transform can be relied on, with the evidence beside [`Fit`] and [`Matches`].
@@ -211,9 +195,6 @@ impl Registration {
         self.t_target_source = self.t_target_source.add_origins(source, target);
         for hypothesis in &mut self.hypotheses {
             hypothesis.t_target_source = hypothesis.t_target_source.add_origins(source, target);
-        }
-        for instance in &mut self.instances {
-            instance.t_target_source = instance.t_target_source.add_origins(source, target);
         }
         self
     }

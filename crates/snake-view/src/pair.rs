@@ -1,9 +1,8 @@
 //! The alignment of the two clouds on a page.
 
 use serde_json::{Value, json};
-use snake_core::{Control, Result};
-use snake_eval::repeated_keypoints;
-use snake_geometry::{Length, Normalization, NormalizationMethod, RigidTransform};
+use snake_core::{Control, Error, Point, Result};
+use snake_geometry::{Length, Neighbors, Normalization, NormalizationMethod, RigidTransform, vector};
 use snake_registration::{PairOptions, RegisterOptions, Registration, register_with};
 
 use crate::shown_cloud::ShownCloud;
@@ -65,7 +64,7 @@ impl ShownPair {
         epsilon: f64,
     ) -> Result<Self> {
         let [first_positions, second_positions] = [first, second].map(ShownCloud::keypoint_positions);
-        let partners = repeated_keypoints(&first_positions, &second_positions, near, epsilon)?;
+        let partners = partners(&first_positions, &second_positions, near, epsilon)?;
         let t_first_second = near.add_origins(second.origin, first.origin);
         Ok(Self { t_first_second, registration, epsilon, partners })
     }
@@ -99,5 +98,46 @@ impl ShownPair {
             "epsilon": self.epsilon,
             "links": links.collect::<Vec<_>>(),
         })
+    }
+}
+
+/// For each keypoint of the first cloud the nearest one of the second, as its index and distance, if it is closer than
+/// `epsilon`. `near` maps the second cloud to the first.
+fn partners(
+    first: &[Point],
+    second: &[Point],
+    near: &RigidTransform,
+    epsilon: f64,
+) -> Result<Vec<Option<(usize, f64)>>> {
+    if epsilon.is_nan() || epsilon < 0.0 {
+        return Err(Error::Option { name: "epsilon", value: epsilon.to_string(), allowed: "0 or more (cloud units)" });
+    }
+    if second.is_empty() {
+        return Ok(vec![None; first.len()]);
+    }
+    let second = Neighbors::new(second.iter().map(|&point| near.apply_vector(&vector(point))).collect())?;
+    // The lower index wins among equal distances, because the tree returns them in no fixed order.
+    let nearest = |&keypoint: &Point| {
+        let keypoint = vector(keypoint);
+        let within = second.within(&keypoint, epsilon).into_iter();
+        let distances = within.map(|index| (index, (second.points[index] - keypoint).norm()));
+        distances.min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    Ok(first.iter().map(nearest).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn partners_are_the_nearest_within_epsilon() {
+        let first = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 9.0, 9.0]];
+        let second = [[0.25, 0.0, 0.0], [1.0, 0.5, 0.0], [0.25, 0.0, 0.0]];
+        let partners = |second: &[Point], epsilon| partners(&first, second, &RigidTransform::identity(), epsilon);
+        assert_eq!(partners(&second, 0.51).unwrap(), [Some((0, 0.25)), Some((1, 0.5)), None, None]);
+        assert_eq!(partners(&second, 0.25).unwrap(), [None; 4], "the boundary is outside");
+        assert_eq!(partners(&[], 9.0).unwrap(), [None; 4]);
+        assert!(partners(&second, -1.0).is_err());
     }
 }

@@ -3,7 +3,7 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{Chosen, Control, Detection, Field, MeshOptions, Result, cluster_hint};
+use snake_core::{Chosen, Control, Detection, Field, MeshOptions, Result};
 use snake_geometry::{Mesh, Normalization, Point, add_origin};
 use snake_io as io;
 
@@ -56,10 +56,9 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A text where points were left out or the keypoints cluster.
+    /// A text where points were left out.
     pub fn hint(&self) -> Option<String> {
-        let cluster = cluster_hint(self.field.points(), &self.detection.keypoints);
-        self.field.findings().into_iter().chain(cluster).reduce(|first, second| format!("{first}; {second}"))
+        self.field.findings().into_iter().reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.

@@ -1,13 +1,11 @@
-"""Writes scan.e57, scene.glb, scene.gltf, drive.mcap and drive.db3: python tests/data/io/generate_scenes.py.
+"""Writes scan.e57, scene.glb, scene.gltf and drive.mcap: python tests/data/io/generate_scenes.py.
 
-Needs numpy, trimesh, pye57, mcap-ros2-support and rosbags.
+Needs numpy, trimesh, pye57 and mcap-ros2-support.
 """
 
 import base64
 import json
-import shutil
 import struct
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -47,33 +45,6 @@ def drive(frame: int) -> np.ndarray:
     u, v = np.arange(1000) * 0.1, np.arange(1000) * 0.7
     ring = 1 + 0.3 * np.cos(v)
     return np.stack([ring * np.cos(u) + frame, ring * np.sin(u), 0.3 * np.sin(v)], axis=1).astype("<f4")
-
-
-def bag() -> None:
-    from rosbags.rosbag2 import Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    with tempfile.TemporaryDirectory() as folder:
-        with Writer(Path(folder) / "drive", version=8) as writer:
-            connection = writer.add_connection("/points", "sensor_msgs/msg/PointCloud2", typestore=store)
-            for frame in range(2):
-                stamp = types["builtin_interfaces/msg/Time"](sec=frame, nanosec=0)
-                message = types["sensor_msgs/msg/PointCloud2"](
-                    header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="lidar"),
-                    height=1,
-                    width=1000,
-                    fields=[types["sensor_msgs/msg/PointField"](n, 4 * i, 7, 1) for i, n in enumerate("xyz")],
-                    is_bigendian=False,
-                    point_step=12,
-                    row_step=12000,
-                    data=drive(frame).view(np.uint8).ravel(),
-                    is_dense=True,
-                )
-                data = store.serialize_cdr(message, connection.msgtype)
-                writer.write(connection, frame * 10**9, data)
-        shutil.copy(Path(folder) / "drive" / "drive.db3", FOLDER / "drive.db3")
 
 
 def mcap() -> None:
@@ -130,4 +101,3 @@ if __name__ == "__main__":
     e57()
     gltf()
     mcap()
-    bag()

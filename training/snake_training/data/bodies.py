@@ -1,6 +1,6 @@
 """Bodies with known correspondences: posed skeletons, chairs and lamps with joints, aeroplanes of other proportions, bent clouds.
 
-`write_bodies` writes data for `eval semantic`: `annotated/`, shapes with landmarks in KeypointNet's layout, and `posed/`, pairs of
+`write_bodies` writes data for `snake_training.evaluation semantic`: `annotated/`, shapes with landmarks in KeypointNet's layout, and `posed/`, pairs of
 bodies whose points i are the same point of the surface. With a corpus it adds `bent/`, pairs of an animal or a character and a bent
 copy of it.
 """

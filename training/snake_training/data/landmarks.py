@@ -1,6 +1,6 @@
 """Shapes that know their own landmarks: corners of boxes and nuts, the ends of legs, tips of wings, noses, tails and ears.
 
-`write_landmarks` writes them in KeypointNet's layout, which `eval semantic` reads: the share of the landmarks with a keypoint nearby
+`write_landmarks` writes them in KeypointNet's layout, which `snake_training.evaluation semantic` reads: the share of the landmarks with a keypoint nearby
 says whether keypoints are where a person expects them.
 """
 

@@ -1,6 +1,6 @@
 """Sensors in made worlds: a depth camera, a spinning LiDAR, a scanner on a tripod, and the clouds that they give.
 
-`write_frames` and `write_drives` write pairs for measuring, `pairs.json` and clouds (N, 3) in metres: `snake-cli eval repeatability`
+`write_frames` and `write_drives` write pairs for measuring, `pairs.json` and clouds (N, 3) in metres: `snake_training.evaluation repeatability`
 reads them. `scene_cloud` gives whole clouds, to which the choice between a model of objects and one of scenes is fitted.
 """
 

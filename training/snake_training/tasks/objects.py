@@ -10,7 +10,9 @@ from tqdm import tqdm
 from ..augment import degraded, normalize, student_views, two_views
 from ..data import Mixture, Procedural, open_all
 from ..data.landmarks import landmarks
-from ..evaluate import DetectOptions, candidates, repeatability, suppress, view_pairs, why_none
+from ..detection import DetectOptions, candidates, suppress, why_none
+from ..evaluation.repeatability import relative_repeatability
+from ..evaluation.views import view_pairs
 from ..export import build_network, load_network
 from ..losses import LOSSES, loss_options, losses_of
 from ..model import Decoder, SnakeNetwork
@@ -66,15 +68,16 @@ class Objects:
         network.eval()
         figures = self.validation_losses(network, device, autocast)
 
-        def detector(points):
-            found = candidates(network, points, options)
-            kept = {radius: suppress(found[:, :3], radius, limit=64) for radius in (0.01, 0.05)}
-            return {f"nms_{radius}": found[kept[radius]].numpy() for radius in kept}
-
-        for name, (measured, count) in repeatability(detector, self.held_out, config.validation_objects).items():
-            figures |= {f"repeatability_{name}": float(measured[0]), f"keypoints_{name}": count}
+        shares, counts, radii = [], [], (0.01, 0.05)
+        for views in view_pairs(self.held_out, config.validation_objects, 5000, 0):
+            found = [candidates(network, view, options)[:, :3] for view in (views.view_1, views.view_2)]
+            kept = [[points[suppress(points, radius, limit=64)].numpy() for points in found] for radius in radii]
+            shares.append([relative_repeatability(*both, views.t_1_2, [0.04])[0] for both in kept])
+            counts.append([len(first) for first, _ in kept])
+        for radius, share, count in zip(radii, np.mean(shares, axis=0), np.mean(counts, axis=0)):
+            figures |= {f"repeatability_nms_{radius}": float(share), f"keypoints_nms_{radius}": float(count)}
         if figures["keypoints_nms_0.01"] == 0:
-            cloud, _, _ = next(view_pairs(self.held_out, 1, 5000, 0))
+            cloud = next(view_pairs(self.held_out, 1, 5000, 0)).view_1
             tqdm.write(f"warning: no keypoint in the validation: {why_none(network, cloud, options)}")
         return figures
 

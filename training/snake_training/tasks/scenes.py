@@ -97,7 +97,7 @@ class Scenes:
         return tuple(field.unflatten(0, (size, 2)) for field in fields)
 
     def validate(self, network, device, autocast):
-        """Nothing: `snake-cli eval` measures scenes."""
+        """Nothing: `snake_training.evaluation` measures scenes."""
         return {}
 
     def score(self, figures):

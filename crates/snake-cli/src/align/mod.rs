@@ -24,7 +24,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
         bail!("{}: poses are written as .json", path.display());
     }
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
-    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, |_| false)?;
+    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format)?;
     arguments.compute.begin(inputs.iter().chain(&arguments.initial_poses), output.iter().chain(merged))?;
     let (mut options, align_options) = arguments.options()?;
     let initial_poses = read_initial_poses(arguments.initial_poses.as_deref(), &inputs)?;

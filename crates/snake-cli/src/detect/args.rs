@@ -1,13 +1,12 @@
 //! The command line of `snake-cli detect`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::{Map, Value};
 use snake_core::DetectOptions;
 use snake_io::KeypointFormat;
 
-use crate::features::advice;
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, ListArgument};
 use crate::setup::{ComputeArguments, EncodeFlags, named};
@@ -16,13 +15,13 @@ use crate::setup::{ComputeArguments, EncodeFlags, named};
 pub struct DetectArguments {
     /// Point clouds (.ply, .pcd, .xyz, .txt, .csv, .pts, .asc, .xyzn, .xyzrgb, .xyzi, .npy, .npz, .las, .laz, .e57, .bin of
     /// KITTI and nuScenes), meshes (.ply, .obj, .off, .stl, .gltf, .glb), directories of such files, or quoted patterns:
-    /// 'scans/**/*.ply'; `-` is the standard input. Or one recording of ROS (.mcap, .db3, or the folder of a bag), all
+    /// 'scans/**/*.ply'; `-` is the standard input. Or one recording of ROS (.mcap), all
     /// clouds of which are processed.
     #[arg(required_unless_present = "input_list")]
     pub inputs: Vec<PathBuf>,
     #[command(flatten)]
     pub list: ListArgument,
-    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz, .parquet or .keypointnet.json). For several
+    /// Write the keypoints to this file (.ply, .pcd, .npy, .csv, .json, .laz or .keypointnet.json). For several
     /// inputs, write them to this directory as NAME.keypoints.EXT, for a recording as NAME.000000.keypoints.EXT. `-` is the
     /// standard output; the report then goes to the standard error.
     #[arg(short, long)]
@@ -31,9 +30,9 @@ pub struct DetectArguments {
     /// NAME.2.keypoints.EXT. Without this option these inputs fail.
     #[arg(long, requires = "output")]
     pub number_results: bool,
-    /// Format of the keypoints: ply, pcd, npy, csv, json, laz, parquet (GeoParquet) or keypointnet (annotations as in
+    /// Format of the keypoints: ply, pcd, npy, csv, json, laz or keypointnet (annotations as in
     /// KeypointNet) [default: by the extension of the output, else ply].
-    #[arg(long, value_parser = keypoint_format)]
+    #[arg(long, value_parser = named::<KeypointFormat>)]
     pub format: Option<KeypointFormat>,
     /// The topic of a recording with the point clouds [default: the only topic with point clouds].
     #[arg(long)]
@@ -90,14 +89,4 @@ impl DetectFlags {
     pub fn values(&self) -> Map<String, Value> {
         self.encode.values().into_iter().chain(self.detect.given()).collect()
     }
-}
-
-/// The format of keypoints of a name.
-fn keypoint_format(name: &str) -> anyhow::Result<KeypointFormat> {
-    named(name).map_err(|error| match KeypointFormat::from_path(&Path::new("keypoints").with_extension(name)) {
-        Err(snake_io::Error::Feature { feature, .. }) => {
-            anyhow::Error::msg(format!("this build lacks the feature `{feature}`; {}", advice(feature)))
-        }
-        _ => error.into(),
-    })
 }

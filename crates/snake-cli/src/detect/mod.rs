@@ -30,7 +30,7 @@ const TABLE_ROWS: usize = 10;
 /// Processes every input. A failed input is reported, and the run continues.
 pub fn run(arguments: &DetectArguments) -> Result<u8> {
     arguments.compute.start_threads()?;
-    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format, io::is_recording)?;
+    let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format)?;
     check_inputs(&inputs)?;
     let is_recording = recording::is_given(arguments, &inputs)?;
     if let (Some(side), Some(output)) = (arguments.tiles.tile, &arguments.output) {
@@ -167,16 +167,15 @@ impl Job<'_> {
         }
         // Before the detection, which may take minutes at the wrong scale.
         let mut hints: Vec<String> = Vec::new();
-        let mut add_hint = |hint: String| {
+        let add_hint = |hint: String| {
             // Once a run, with the first cloud, whatever its numbers; `--json` has it for each.
             if self.is_new(&hint.replace(|c: char| c.is_ascii_digit() || c == '.', "")) {
                 bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
             }
             hints.push(hint);
         };
-        chosen.notes().into_iter().for_each(&mut add_hint);
+        chosen.notes().into_iter().for_each(add_hint);
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
-        chosen.cluster_hint(&detection).into_iter().for_each(&mut add_hint);
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
             let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };

@@ -24,7 +24,7 @@ pub fn is_given(arguments: &DetectArguments, inputs: &[PathBuf]) -> Result<bool>
             _ => bail!("--sample, --columns and --tile are for files of one cloud, not for a recording"),
         },
         _ if inputs.iter().any(is_recording) => bail!("a recording has to be the only input"),
-        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap, .db3, or the folder of a bag)"),
+        _ if arguments.topic.is_some() => bail!("--topic is for a recording (.mcap)"),
         _ => Ok(false),
     }
 }
@@ -37,7 +37,7 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<u8> {
         check(folder, input, arguments)?;
     }
     let extension = arguments.format.unwrap_or(KeypointFormat::Ply).extension();
-    let stem = stem(input);
+    let stem = input.file_stem().unwrap_or_default().to_string_lossy();
     let recording = read_recording(input, arguments.topic.as_deref())?;
     if let Some(folder) = folder {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the directory {}", folder.display()))?;
@@ -62,13 +62,6 @@ pub fn run(job: &Job, input: &Path, bar: Bar, load_model: f64) -> Result<u8> {
         start = Instant::now();
     }
     reports.finish(load_model + job.chooser.load_seconds())
-}
-
-/// The name of the results: that of the file without its extension, or that of the folder.
-fn stem(input: &Path) -> String {
-    let folder = input.is_dir().then(|| input.canonicalize().ok()).flatten();
-    let name = folder.as_ref().map_or_else(|| input.file_stem(), |folder| folder.file_name());
-    name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Refuses files for the results, and folders of inputs. A recording has many clouds, so a file cannot hold them.

@@ -12,7 +12,6 @@ use snake_tiles::{Error, Tile, TiledRun};
 use super::args::DetectArguments;
 use crate::inputs::{DASH, output_origin};
 use crate::output::InputFiles;
-use crate::setup::recommended;
 use crate::terminal::{self, Bar, Report};
 use crate::{FAILURE, SUCCESS};
 
@@ -20,7 +19,7 @@ use crate::{FAILURE, SUCCESS};
 pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &Path) -> Result<u8> {
     let start = Instant::now();
     check(arguments, inputs, output)?;
-    let model = arguments.compute.load_model(Some(Builtin::Scenes), recommended)?;
+    let model = arguments.compute.load_model(Builtin::Scenes)?;
     let mut options = model.options.resolve(&arguments.options.values())?;
     if !arguments.options.has("max_keypoints") {
         options.detect.max_keypoints = usize::MAX;
@@ -49,11 +48,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     bar.finish();
     let mut detection = Detection::default();
     detection.keypoints = finished.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
-    let source = KeypointSource {
-        crs: run.crs().cloned(),
-        tiles: finished.keypoints.iter().map(|keypoint| keypoint.tile).collect(),
-        ..KeypointSource::new(&inputs[0], run.origin())
-    };
+    let source = KeypointSource { crs: run.crs().cloned(), ..KeypointSource::new(&inputs[0], run.origin()) };
     super::write(output, arguments.format, &detection, &source)?;
     output_origin(output, super::adds_origin(output, arguments.format), run.origin());
     let (num_points, num_skipped) = run.num_points();

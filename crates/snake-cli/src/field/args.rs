@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use crate::disturb::DisturbArguments;
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
 use crate::setup::{ComputeArguments, EncodeFlags};
@@ -62,8 +61,6 @@ pub struct FieldArguments {
     pub json: bool,
     #[command(flatten)]
     pub reading: InputArguments,
-    #[command(flatten)]
-    pub disturb: DisturbArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]

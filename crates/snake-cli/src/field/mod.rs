@@ -31,7 +31,7 @@ pub fn run(arguments: &FieldArguments) -> Result<()> {
     let control = Control::new().progress(&progress);
     let bar = terminal::stages(&progress)?;
     bar.set_message(input.display().to_string());
-    let cloud = arguments.disturb.apply(arguments.reading.read(input, chooser.seed())?, chooser.seed())?;
+    let cloud = arguments.reading.read(input, chooser.seed())?;
     let name = input.display().to_string();
     let chosen = chooser.for_cloud(&cloud).with_context(|| name.clone())?;
     detail_of(&chosen);

@@ -23,7 +23,7 @@ pub struct RegisterArguments {
     #[arg(short, long)]
     pub output: Option<PathBuf>,
     /// Write the source's points in the target's frame to this file (.ply, .pcd, .npy, .xyz or .csv). The first two and .csv keep
-    /// colours, intensity and normals. Of several instances it has a copy each.
+    /// colours, intensity and normals.
     #[arg(long)]
     pub aligned: Option<PathBuf>,
     /// Write a page to this file (.html) that shows the source moved onto the target, with the matches that agree as lines.

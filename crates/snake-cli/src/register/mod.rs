@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::json;
-use snake_core::{Control, Error, Point, Progress, RigidTransform};
+use snake_core::{Control, Error, Progress, RigidTransform};
 use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
 use snake_view::RegistrationPage;
@@ -59,11 +59,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
         }
         tried => tried?,
     };
-    let poses = if near.instances.is_empty() {
-        vec![near.t_target_source]
-    } else {
-        near.instances.iter().map(|instance| instance.t_target_source).collect()
-    };
+    let pose = near.t_target_source;
     let registration = near.between_origins(source_cloud.origin, target_cloud.origin);
     let mut attributes = match aligned {
         Some(_) => arguments.input.read_attributes(source, &source_cloud)?,
@@ -77,9 +73,8 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     }
     let mut aligned_origin = [0.0; 3];
     if let Some(path) = aligned {
-        let moved: Vec<Point> = poses.iter().flat_map(|pose| transform_points(pose, &source_cloud.points)).collect();
-        let attributes: Vec<Attributes> = poses.iter().map(|pose| attributes.clone().transformed(pose)).collect();
-        io::write_cloud(path, &moved, &Attributes::joined(&attributes), target_cloud.origin)?;
+        let moved = transform_points(&pose, &source_cloud.points);
+        io::write_cloud(path, &moved, &attributes.transformed(&pose), target_cloud.origin)?;
         aligned_origin = output_origin(path, io::adds_origin(path), target_cloud.origin);
     }
     if let Some(path) = view {
@@ -115,8 +110,7 @@ fn scaled(mut cloud: Cloud, scale: f64) -> Cloud {
 }
 
 fn report(registration: &Registration, written: &[&Path]) -> Report {
-    let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, instances, seconds, .. } =
-        registration;
+    let Registration { t_target_source, verdict, fit, matches, clouds, hypotheses, seconds, .. } = registration;
     let near = fit.inlier_distance;
     let [source, target] = clouds;
     let mut report = Report::default();
@@ -152,11 +146,6 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
     for (rank, other) in hypotheses.iter().enumerate().skip(1) {
         report.line(format!("{}. {} matches, score {:.3}:", rank + 1, other.num_inliers, other.score));
         matrix(&mut report, &other.t_target_source);
-    }
-    for (rank, instance) in instances.iter().enumerate().skip(1) {
-        let (word, confidence) = (instance.verdict.word(), instance.verdict.confidence);
-        report.line(format!("instance {}: {word}, confidence {confidence:.2}:", rank + 1));
-        matrix(&mut report, &instance.t_target_source);
     }
     report.line(format!("{seconds:.3} s"));
     if source.num_skipped + target.num_skipped > 0 {

@@ -6,7 +6,6 @@ use clap::Args;
 use snake_core::Length;
 
 use crate::detect::args::DetectFlags;
-use crate::disturb::DisturbArguments;
 use crate::inputs::InputArguments;
 use crate::render::colormap::Colormap;
 use crate::setup::ComputeArguments;
@@ -38,8 +37,6 @@ pub struct ViewArguments {
     pub colormap: Colormap,
     #[command(flatten)]
     pub reading: InputArguments,
-    #[command(flatten)]
-    pub disturb: DisturbArguments,
     #[command(flatten)]
     pub compute: ComputeArguments,
     #[command(flatten)]

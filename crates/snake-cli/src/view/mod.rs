@@ -5,8 +5,8 @@ pub mod args;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use serde::Deserialize;
 use snake_core::{Chosen, Cloud, Control, Error, Point, Progress};
-use snake_eval::datasets::annotated_points;
 use snake_io as io;
 use snake_view::{Page, ShownCloud, ShownPair};
 
@@ -30,18 +30,15 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     let control = Control::new().progress(&progress);
     let bar = terminal::stages(&progress)?;
     let read = |input: &PathBuf| arguments.reading.read(input, chooser.seed());
-    // The noise of two clouds is independent.
-    let disturbed = |cloud, which: u64| arguments.disturb.apply(cloud, chooser.seed().wrapping_add(which));
     let name = |input: &PathBuf| input.display().to_string();
-    let given = read(input)?;
-    let annotations = arguments.annotations.as_deref().map(|file| annotated(file, input, &given)).transpose()?;
-    let first_cloud = disturbed(given, 0)?;
+    let first_cloud = read(input)?;
+    let annotations = arguments.annotations.as_deref().map(|file| annotated(file, input, &first_cloud)).transpose()?;
     let first = chooser.for_cloud(&first_cloud).with_context(|| name(input))?;
     bar.suspend(|| {
         detail_of(&first);
         terminal::hints(&name(input), &first.note);
     });
-    let second_cloud = second.as_ref().map(|input| disturbed(read(input)?, 1)).transpose()?;
+    let second_cloud = second.as_ref().map(read).transpose()?;
     let mut clouds: Vec<ShownCloud> = Vec::new();
     let mut add = |input: &PathBuf, chosen: &Chosen| -> Result<()> {
         bar.set_message(name(input));
@@ -75,16 +72,40 @@ pub fn run(arguments: &ViewArguments) -> Result<()> {
     terminal::print_report(&report)
 }
 
-/// The annotated points of a cloud as it was read.
+/// An entry of an annotation file of KeypointNet; other keys are ignored.
+#[derive(Deserialize)]
+struct Annotation {
+    model_id: String,
+    keypoints: Vec<Marked>,
+}
+
+#[derive(Deserialize)]
+struct Marked {
+    pcd_info: MarkedPoint,
+}
+
+#[derive(Deserialize)]
+struct MarkedPoint {
+    point_index: usize,
+}
+
+/// The annotated points of a cloud as it was read: those of the entry with its `model_id`, or of the only entry.
 fn annotated(file: &Path, input: &Path, cloud: &Cloud) -> Result<Vec<Point>> {
     let model_id = input.file_stem().unwrap_or_default().to_string_lossy();
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let mut entries: Vec<Annotation> = serde_json::from_str(&text).with_context(|| file.display().to_string())?;
+    if entries.len() != 1 {
+        entries.retain(|entry| entry.model_id == model_id);
+    }
+    let lacking = || format!("{}: no entry with the model_id {model_id}", file.display());
+    let entry = entries.pop().with_context(lacking)?;
     let point = |index: usize| {
         let number = cloud.points.len();
         let outside =
             || format!("{}: point_index {index}, but {} has {number} points", file.display(), input.display());
         cloud.points.get(index).copied().with_context(outside)
     };
-    annotated_points(file, &model_id)?.into_iter().map(point).collect()
+    entry.keypoints.into_iter().map(|marked| point(marked.pcd_info.point_index)).collect()
 }
 
 /// The advice where a registration fails.

@@ -1,7 +1,5 @@
 //! Which files a command reads: lists, and folders with files that hold no cloud.
 
-use std::path::Path;
-
 use assert_cmd::Command;
 
 use super::{json_lines, sample, snake, stderr, succeed};
@@ -33,44 +31,4 @@ fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
         let output = snake(&arguments);
         assert!(output.status.code() == Some(2) && stderr(&output).contains(expected), "{}", stderr(&output));
     }
-}
-
-#[test]
-fn an_evaluation_leaves_out_files_without_a_cloud_and_says_so() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, content: &str| std::fs::write(folder.path().join(name), content).unwrap();
-    for name in ["a.ply", "c.ply"] {
-        std::fs::copy(sample(), folder.path().join(name)).unwrap();
-    }
-    let eval = |data: &Path| {
-        let data = data.display().to_string();
-        snake(&[
-            "eval",
-            "repeatability",
-            &data,
-            "--methods",
-            "random",
-            "--downsample",
-            "1",
-            "--noise",
-            "0",
-            "--num-points",
-            "500",
-        ])
-    };
-    let whole = eval(folder.path());
-    assert!(whole.status.success(), "{}", stderr(&whole));
-    write("b.xyz", "1 2 potato\n");
-    write("d.xyz", "");
-    let output = eval(folder.path());
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("over 2 pairs"));
-    for expected in ["b.xyz is left out: ", "potato", "d.xyz is left out: "] {
-        assert!(stderr(&output).contains(expected), "{}", stderr(&output));
-    }
-    // Each name once.
-    assert_eq!(["b.xyz", "d.xyz"].map(|name| stderr(&output).matches(name).count()), [1, 1], "{}", stderr(&output));
-    std::fs::remove_file(folder.path().join("a.ply")).unwrap();
-    std::fs::remove_file(folder.path().join("c.ply")).unwrap();
-    assert!(stderr(&eval(folder.path())).contains("none of the 2 files has a cloud"));
 }

@@ -3,12 +3,6 @@
 mod align;
 mod default_path;
 mod detect;
-mod eval_files;
-mod eval_models;
-mod eval_registration;
-mod eval_repeatability;
-mod eval_semantic;
-mod features;
 mod field;
 mod hostile_files;
 mod inputs;
@@ -26,7 +20,6 @@ mod tiles;
 mod usage;
 mod view;
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -95,15 +88,4 @@ fn npy(descr: &str, shape: &[usize], values: impl Iterator<Item = u8>) -> Vec<u8
 fn write_npy(path: &Path, shape: &[usize], values: &[f32]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(path, npy("<f4", shape, values.iter().flat_map(|v| v.to_le_bytes()))).unwrap();
-}
-
-/// Writes an `.npz` archive of arrays of f64, each of a name, a shape and values.
-fn write_npz(path: &Path, arrays: &[(&str, &[usize], &[f64])]) {
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
-    for (name, shape, values) in arrays {
-        archive.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-        archive.write_all(&npy("<f8", shape, values.iter().flat_map(|v| v.to_le_bytes()))).unwrap();
-    }
-    archive.finish().unwrap();
 }

@@ -19,7 +19,6 @@ fn names_and_values_of_any_length_are_told_in_a_short_line() {
         &["detect", &sample(), "-o", &format!("{long}.ply")],
         &["detect", "--input-list", &list],
         &["register", &long, &sample()],
-        &["eval", "repeatability", &long],
     ];
     for arguments in cases {
         let output = snake(arguments);

@@ -57,7 +57,7 @@ fn an_output_never_replaces_an_input() {
     }
     std::fs::hard_link(path("a.ply"), path("hard.ply")).unwrap();
     let absolute = path("a.ply").display().to_string();
-    let inputs = ["a.ply", "b.ply", "a.npy", "a.txt", "t.json", "scans/a.ply", "scans/b.ply", "repeatability.csv"];
+    let inputs = ["a.ply", "b.ply", "a.npy", "a.txt", "t.json", "scans/a.ply", "scans/b.ply"];
     let contents = || inputs.map(|name| std::fs::read(path(name)).unwrap());
     let before = contents();
     let refused = |arguments: &[&str], code: i32| {
@@ -77,10 +77,6 @@ fn an_output_never_replaces_an_input() {
     refused(&["field", "a.ply", "-o", "link.png", "--resolution", "8"], 2);
     refused(&["view", "a.ply", "-o", "link.html"], 2);
     refused(&["view", "b.ply", "a.ply", "--transform", "t.json", "-o", "t.html"], 2);
-    let small = ["--methods", "random", "--downsample", "1", "--noise", "0", "--num-points", "100"];
-    let eval = |data: &[&str]| refused(&[&["eval", "repeatability"], data, &small].concat(), 2);
-    eval(&["repeatability.csv", "a.ply", "-o", "."]);
-    eval(&["a.ply", "b.ply", "--transform", "t.json", "-o", "results"]);
     // A folder's other inputs are processed.
     refused(&["detect", "scans", "-o", "results"], 1);
     assert!(path("results/b.keypoints.ply").is_file());

@@ -99,7 +99,6 @@ fn a_batch_continues_when_its_output_is_closed() {
 fn printing_never_panics() {
     let folder = copies(2);
     let (a, b) = ("clouds/000.ply", "clouds/001.ply");
-    let eval = ["--methods", "random", "--downsample", "1", "--noise", "0", "--num-points", "100"];
     for (arguments, code) in [
         (&["--help"][..], 0),
         (&["--version"], 0),
@@ -115,7 +114,6 @@ fn printing_never_panics() {
         (&["register", a, b, "-o", "t.json", "-v"], 0),
         (&["field", a, "-o", "f.png", "--resolution", "8", "--json"], 0),
         (&["view", a, "-o", "v.html"], 0),
-        (&[&["eval", "repeatability", "clouds"], &eval[..]].concat(), 0),
     ] {
         let run = |stdout: Stdio, stderr: Stdio| {
             let mut command = snake();
@@ -143,7 +141,6 @@ fn names_and_values_print_no_control_characters() {
     std::fs::write(folder.path().join("bad.xyz"), format!("1 2 {}\n", HOSTILE.replace('\n', ""))).unwrap();
     let [cloud, json, png, html] = ["ply", "json", "png", "html"].map(name);
     let (mesh, result) = (name("obj"), name("csv"));
-    let eval = ["--methods", "random", "--downsample", "1", "--noise", "0", "--num-points", "100"];
     let run = |arguments: &[&str], variable: &str| {
         let mut command = snake();
         command.current_dir(folder.path()).args(arguments).env(variable, HOSTILE);
@@ -185,11 +182,6 @@ fn names_and_values_print_no_control_characters() {
         &["register", &cloud, "nowhere"],
         &["view", &cloud, &cloud, "-o", &html],
         &["model", HOSTILE],
-        &["eval", "repeatability", &cloud, "--limit", HOSTILE],
-        &[&["eval", "repeatability", HOSTILE, "-v"], &eval[..]].concat(),
-        &["eval", "repeatability", &cloud, "--methods", HOSTILE],
-        &["eval", "semantic", HOSTILE],
-        &["eval", "registration", HOSTILE],
         &["completions", HOSTILE],
     ] {
         harmless(&run(arguments, "UNUSED"), &format!("{arguments:?}"));

@@ -26,50 +26,6 @@ fn every_cloud_of_a_recording_has_a_report_and_a_file() {
     assert!(text.contains("drive.mcap, cloud 0: ") && text.contains("drive.mcap, cloud 1: "), "{text}");
 }
 
-#[cfg(feature = "rosbag2")]
-#[test]
-fn a_bag_of_ros_2_has_the_keypoints_of_the_same_drive_in_mcap() {
-    let keypoints = |name: &str| {
-        let file = root().join("tests/data/io").join(name).display().to_string();
-        let lines = succeed(&["detect", &file, "--json"]);
-        let keypoints = |line| serde_json::from_str::<Value>(line).unwrap()["keypoints"].clone();
-        lines.lines().map(keypoints).collect::<Vec<_>>()
-    };
-    let keypoints_of_drive = keypoints("drive.db3");
-    assert!(keypoints_of_drive.len() == 2 && keypoints_of_drive == keypoints("drive.mcap"));
-}
-
-#[cfg(feature = "rosbag2")]
-#[test]
-fn the_folder_of_a_bag_is_one_recording() {
-    let root_folder = tempfile::tempdir().unwrap();
-    let [bag, output] = ["drive", "results"].map(|name| root_folder.path().join(name));
-    std::fs::create_dir(&bag).unwrap();
-    std::fs::copy(root().join("tests/data/io/drive.db3"), bag.join("drive_0.db3")).unwrap();
-    std::fs::copy(drive(), bag.join("drive_1.mcap")).unwrap();
-    let metadata = "rosbag2_bagfile_information:\n  relative_file_paths: [drive_0.db3, drive_1.mcap]\n";
-    std::fs::write(bag.join("metadata.yaml"), metadata).unwrap();
-    let [bag_text, output_text] = [&bag, &output].map(|path| path.display().to_string());
-    let done = snake(&["detect", &bag_text, "--topic", "/points", "--json", "-o", &output_text]);
-    assert!(done.status.success(), "{}", stderr(&done));
-    let outputs: Vec<_> = json_lines(&done).iter().map(|line| line["output"].as_str().unwrap().to_owned()).collect();
-    let expected = (0..4).map(|index| output.join(format!("drive.{index:06}.keypoints.ply")).display().to_string());
-    assert_eq!(outputs, expected.collect::<Vec<_>>());
-
-    std::fs::write(bag.join("metadata.yaml"), "damaged: [").unwrap();
-    let refused = snake(&["detect", &bag_text]);
-    assert!(!refused.status.success() && stderr(&refused).contains("metadata.yaml: no metadata of a bag"));
-    // Without metadata, as after a crash, the parts are read by number.
-    std::fs::remove_file(bag.join("metadata.yaml")).unwrap();
-    let done = snake(&["detect", &bag_text, "--json"]);
-    assert!(done.status.success() && json_lines(&done).len() == 4, "{}", stderr(&done));
-    std::fs::rename(bag.join("drive_1.mcap"), bag.join("other.mcap")).unwrap();
-    let refused = snake(&["detect", &bag_text]);
-    let error = stderr(&refused);
-    assert!(!refused.status.success() && error.contains("no point clouds in it"), "{error}");
-    assert!(error.contains("a recording is an input of its own: ") && error.contains("drive_0.db3"), "{error}");
-}
-
 #[test]
 fn a_cut_recording_gives_its_clouds_and_ends_with_1() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,9 +66,13 @@ fn mistakes_with_recordings_are_named() {
         assert!(!done.status.success() && stderr(&done).contains(expected), "{arguments:?}: {}", stderr(&done));
     }
     assert!(folder.path().read_dir().unwrap().next().is_none());
-    for (extension, expected) in [("bag", "mcap convert FILE.bag FILE.mcap"), ("db3", "`snake-cli detect` read")] {
+    for (extension, expected) in [("bag", "mcap convert FILE.bag FILE.mcap"), ("db3", "ros2 bag convert -i FOLDER")] {
         std::fs::write(renamed(extension), "of another program").unwrap();
-        let said = stderr(&snake(&["view", &renamed(extension), "-o", &page]));
-        assert!(said.contains(expected), "{said}");
+        assert_refused(&snake(&["view", &renamed(extension), "-o", &page]), expected);
+        assert_refused(&snake(&["detect", &renamed(extension)]), expected);
     }
+    // The folder of a bag.
+    std::fs::remove_file(renamed("bag")).unwrap();
+    std::fs::write(folder.path().join("metadata.yaml"), "").unwrap();
+    assert_refused(&snake(&["detect", &folder.path().display().to_string()]), "ros2 bag convert -i FOLDER");
 }

@@ -11,9 +11,7 @@ use super::{assert_refused, json_lines, root, sample, stderr};
 /// snake-cli with an environment of its own.
 fn command(arguments: &[&str], environment: &[(&str, &str)]) -> Command {
     let mut command = Command::cargo_bin("snake-cli").unwrap();
-    for name in
-        ["SNAKE_MODEL", "SNAKE_MODELS", "SNAKE_THREADS", "SNAKE_SIMD", "SNAKE_CONFIG", "NO_COLOR", "CLICOLOR_FORCE"]
-    {
+    for name in ["SNAKE_MODEL", "SNAKE_MODELS", "SNAKE_THREADS", "SNAKE_SIMD", "NO_COLOR", "CLICOLOR_FORCE"] {
         command.env_remove(name);
     }
     command.args(arguments).envs(environment.iter().copied());
@@ -59,7 +57,7 @@ fn every_sub_command_shows_examples() {
         assert!(top.contains(expected), "{expected}: {top}");
     }
     let names: Vec<&str> = helps.iter().map(|(name, _)| name.as_str()).collect();
-    for name in ["detect", "register", "model", "completions", "eval repeatability", "eval semantic"] {
+    for name in ["detect", "register", "model", "completions"] {
         assert!(names.contains(&name), "{names:?}");
     }
     for (name, help) in &helps {
@@ -76,7 +74,7 @@ fn every_sub_command_shows_examples() {
 fn every_shell_gets_completions() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let script = stdout(&snake(&["completions", shell]));
-        assert!(script.contains("nms-radius") && script.contains("repeatability"), "{shell}: {script}");
+        assert!(script.contains("nms-radius") && script.contains("register"), "{shell}: {script}");
     }
     assert_eq!(snake(&["completions", "cmd"]).status.code(), Some(2));
 }
@@ -96,7 +94,6 @@ fn bash_completes_sub_commands_and_their_options() {
     };
     assert_eq!(completed("snake-cli regi"), "register");
     assert_eq!(completed("snake-cli detect --nms"), "--nms-radius");
-    assert_eq!(completed("snake-cli eval sem"), "semantic");
     assert_eq!(completed("snake-cli completions ba"), "bash");
     // Every option of every sub-command, as its help lists them.
     for (name, help) in helps(&[]) {
@@ -108,23 +105,6 @@ fn bash_completes_sub_commands_and_their_options() {
             assert!(offered.contains(&option), "{name}: {option}: {offered:?}");
         }
     }
-}
-
-#[cfg(feature = "manual")]
-#[test]
-fn every_sub_command_has_a_manual_page() {
-    let folder = tempfile::tempdir().unwrap();
-    let pages = folder.path().join("man/man1");
-    assert_eq!(snake(&["manual", &pages.display().to_string()]).status.code(), Some(0));
-    for (name, _) in helps(&[]) {
-        let file = format!("{}.1", format!("snake-cli {name}").trim_end().replace(' ', "-"));
-        let page = std::fs::read_to_string(pages.join(&file)).unwrap_or_else(|error| panic!("{file}: {error}"));
-        assert!(page.contains(".SH SYNOPSIS"), "{page}");
-    }
-    std::fs::write(folder.path().join("file"), "").unwrap();
-    let output = snake(&["manual", &folder.path().join("file").display().to_string()]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(stderr(&output).starts_with("error: ") && stderr(&output).lines().count() == 1, "{}", stderr(&output));
 }
 
 #[test]
@@ -190,7 +170,7 @@ fn options_can_be_environment_variables() {
     let output = snake_with(&["detect", &sample()], sse);
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).starts_with("error: SNAKE_SIMD is sse: allowed is portable"), "{}", stderr(&output));
-    let empty = ["SNAKE_THREADS", "SNAKE_MODEL", "SNAKE_SIMD", "SNAKE_CONFIG"].map(|name| (name, ""));
+    let empty = ["SNAKE_THREADS", "SNAKE_MODEL", "SNAKE_SIMD"].map(|name| (name, ""));
     assert_eq!(stderr(&snake_with(&["detect", &sample()], &empty)), "");
     assert_eq!(stderr(&snake_with(&["detect", &sample()], &[("SNAKE_SIMD", "portable")])), "");
 }
@@ -401,31 +381,4 @@ fn the_schema_has_the_keys_of_the_report() {
     let report = &json_lines(&snake(&["detect", &sample(), "--json"]))[0];
     assert!(schema["required"].as_array().unwrap().iter().all(|key| report.get(key.as_str().unwrap()).is_some()));
     assert!(report.get("recorded").is_none());
-}
-
-#[test]
-fn a_configuration_file_comes_after_the_command_line_and_the_environment() {
-    let folder = tempfile::tempdir().unwrap();
-    let config = folder.path().join("snake.toml");
-    let number = |arguments: &[&str], environment: &[(&str, &str)]| {
-        let sample = sample();
-        let mut command = command(&[&["detect", &sample, "--json"], arguments].concat(), environment);
-        keypoints(&command.current_dir(folder.path()).output().unwrap()).as_array().unwrap().len()
-    };
-    let many = number(&["--nms-radius", "0"], &[]);
-    std::fs::write(&config, "[options]\nmax_keypoints = 5\nnms_radius = 0.0\n[models.standard]\nmax_keypoints = 3\n")
-        .unwrap();
-    assert!(many > 5);
-    assert_eq!(number(&[], &[]), 5);
-    assert_eq!(number(&["--max-keypoints", "2"], &[]), 2);
-    assert_eq!(number(&["--model", "standard"], &[]), 3);
-    assert_eq!(number(&[], &[("SNAKE_MODEL", "standard")]), 3);
-    let other = folder.path().join("other.toml").display().to_string();
-    std::fs::write(&other, "[options]\nmax_keypoints = 4\n").unwrap();
-    assert_eq!(number(&[], &[("SNAKE_CONFIG", &other)]), 4);
-    std::fs::write(&config, "[options]\nradius = 5\n").unwrap();
-    let sample = sample();
-    let refused = command(&["detect", &sample], &[]).current_dir(folder.path()).output().unwrap();
-    assert_eq!(refused.status.code(), Some(2));
-    assert!(stderr(&refused).contains("snake.toml") && stderr(&refused).contains("radius"), "{}", stderr(&refused));
 }

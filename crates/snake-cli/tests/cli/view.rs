@@ -41,7 +41,7 @@ fn annotations_are_shown_beside_the_keypoints() {
     let stem = Path::new(&sample()).file_stem().unwrap().to_string_lossy().into_owned();
     let view = |shapes: Value| {
         std::fs::write(&list, shapes.to_string()).unwrap();
-        snake(&["view", &sample(), "-o", &page, "--annotations", &list, "--downsample", "2"])
+        snake(&["view", &sample(), "-o", &page, "--annotations", &list])
     };
     assert!(view(serde_json::json!([shape("other", [0, 1]), shape(&stem, [7, 4000])])).status.success());
     let points = io::read_points(Path::new(&sample())).unwrap();

@@ -4,12 +4,12 @@ use std::sync::{Arc, OnceLock};
 
 use serde_json::{Map, Value};
 
+use super::cloud_note::cloud_note;
 use super::rule::{by_cloud, by_options, note_of_doubt};
-use super::scale_hint;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::control::clock::Instant;
-use crate::{Builtin, Detection, Field, Model, Options, Preset, Result, cluster_hint};
+use crate::{Builtin, Detection, Field, Model, Options, Preset, Result};
 use snake_geometry::{Cloud, NormalizationMethod, Point};
 
 /// Chooses model and options for each cloud of a run, as `snake-cli`, Python and C do.
@@ -278,10 +278,10 @@ impl Chosen<'_> {
         Ok(Chosen { which, model, name: self.name.clone(), options, by, note: None, cloud: used, origin })
     }
 
-    /// The notes for a user before detection: [`Chosen::note`] and [`scale_hint`].
+    /// The notes for a user before detection: [`Chosen::note`], and what is wrong with the cloud.
     pub fn notes(&self) -> Vec<String> {
-        let scale = scale_hint(&self.cloud, self.model.config(), &self.options);
-        self.note.iter().cloned().chain(scale).collect()
+        let cloud = cloud_note(&self.cloud, self.model.config(), &self.options);
+        self.note.iter().cloned().chain(cloud).collect()
     }
 
     /// [`Model::detect`] in the cloud.
@@ -298,11 +298,6 @@ impl Chosen<'_> {
     /// The errors of [`Model::encode_with`].
     pub fn encode(&self, control: &Control) -> Result<Field> {
         self.model.encode_cloud(&self.cloud, &self.options.encode, control)
-    }
-
-    /// [`cluster_hint`] of the cloud's keypoints.
-    pub fn cluster_hint(&self, detection: &Detection) -> Option<String> {
-        cluster_hint(self.cloud.points(), &detection.keypoints)
     }
 }
 

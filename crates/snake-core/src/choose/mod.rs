@@ -2,10 +2,9 @@
 
 #[cfg(feature = "builtin-models")]
 mod chooser;
+mod cloud_note;
 #[cfg(feature = "builtin-models")]
 mod rule;
-mod scale_hint;
 
 #[cfg(feature = "builtin-models")]
 pub use self::chooser::{Chooser, Chosen, ChosenBy, NamedModel};
-pub use self::scale_hint::scale_hint;

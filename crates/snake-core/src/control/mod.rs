@@ -1,16 +1,12 @@
-//! Control of a call: progress, cancellation, deadline, limits, threads.
+//! Control of a call: progress, cancellation, deadline, threads.
 
 pub(crate) mod clock;
-mod limits;
 mod parallel_map;
 mod progress;
-mod span;
 mod threads;
 
-pub use self::limits::Limits;
 pub use self::parallel_map::parallel_map;
 pub use self::progress::{Progress, Stage};
-pub(crate) use self::span::span;
 pub use self::threads::check_num_threads;
 
 use std::sync::Arc;
@@ -20,7 +16,7 @@ use std::time::Instant;
 use self::progress::Count;
 use crate::{Error, Result};
 
-/// Progress, cancellation, a deadline and limits of a long call, an argument of
+/// Progress, cancellation and a deadline of a long call, an argument of
 /// [`Model::encode_with`](crate::Model::encode_with), [`Model::detect_with`](crate::Model::detect_with),
 /// [`Field::detect_with`](crate::Field::detect_with), [`Field::mesh_with`](crate::Field::mesh_with) and
 /// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
@@ -41,12 +37,11 @@ use crate::{Error, Result};
 #[derive(Debug, Clone, Default)]
 pub struct Control {
     progress: Option<Progress>,
-    limits: Limits,
     stop: Stop,
 }
 
 impl Control {
-    /// A control that neither watches nor limits a call.
+    /// A control that neither watches nor stops a call.
     pub fn new() -> Self {
         Self::default()
     }
@@ -69,17 +64,6 @@ impl Control {
         self
     }
 
-    /// Refuses the call with [`Error::LimitExceeded`] before it begins if it would exceed a limit.
-    pub fn limits(mut self, limits: Limits) -> Self {
-        self.limits = limits;
-        self
-    }
-
-    /// The limits of the call.
-    pub(crate) fn get_limits(&self) -> &Limits {
-        &self.limits
-    }
-
     /// Returns an error if the call must stop.
     ///
     /// # Errors
@@ -96,7 +80,7 @@ impl Control {
 
     /// The same control for inner calls, whose progress the outer call reports.
     pub fn without_progress(&self) -> Self {
-        Self { progress: None, limits: self.limits, stop: self.stop.clone() }
+        Self { progress: None, stop: self.stop.clone() }
     }
 }
 

@@ -4,7 +4,6 @@ use super::modes::seek_modes;
 use super::{Candidates, Detection, corners};
 use crate::Result;
 use crate::control::clock::Instant;
-use crate::control::span;
 use crate::field::Field;
 use crate::options::{DetectOptions, Preference, Radii};
 use snake_geometry::{Keypoint, nearest_points, suppress};
@@ -16,7 +15,6 @@ pub(super) fn finish(
     radii: Radii,
     options: &DetectOptions,
 ) -> Result<Detection> {
-    span!("suppress");
     let start = Instant::now();
     let Candidates { mut positions, mut scores, mut counts, mut timing } = candidates;
     if let Some(radius) = radii.mode {

@@ -1,6 +1,5 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
-mod cluster_hint;
 mod corners;
 mod detection;
 mod finish;
@@ -11,7 +10,6 @@ pub(crate) mod refine;
 pub(crate) mod tests;
 mod tiles;
 
-pub use self::cluster_hint::cluster_hint;
 pub use self::detection::{Counts, Detection, Timing};
 pub use self::tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
 
@@ -45,11 +43,11 @@ impl Field {
         self.detect_with(options, &Control::default())
     }
 
-    /// [`Field::detect`] with progress, cancellation and limits.
+    /// [`Field::detect`] with progress, cancellation and a deadline.
     ///
     /// # Errors
-    /// The errors of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled),
-    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded) and [`Error::LimitExceeded`](crate::Error::LimitExceeded).
+    /// The errors of [`Field::detect`]; [`Error::Cancelled`](crate::Error::Cancelled) and
+    /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
     pub fn detect_with(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         self.network().check_detect(options, self.num_rotations())?;
         self.detect_in(options, control)
@@ -59,7 +57,6 @@ impl Field {
     pub(crate) fn detect_in(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
         let radii = options.radii(self.points(), self.voxel_size())?;
         let queries = self.queries(options);
-        control.get_limits().check_evaluations(&options.evaluations(queries.len(), self.num_rotations()))?;
         let candidates = candidates(self, &queries, options, control)?;
         control.begin("suppression", 0).check()?;
         finish(self, candidates, radii, options)

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::control::{Control, Counter, span};
+use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
 use crate::lattice::Queries;
 use crate::network::layers::TILE;
@@ -27,7 +27,6 @@ impl Occupied {
 
 /// The queries whose occupancy is above the threshold, in their order.
 pub(crate) fn above_occupancy(field: &Field, queries: &Queries, threshold: f32, control: &Control) -> Result<Occupied> {
-    span!("occupancy");
     let counter = control.begin("occupancy", queries.len());
     let mut occupied = Occupied::default();
     queries.for_each_batch(|batch, number| {

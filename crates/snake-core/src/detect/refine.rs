@@ -4,7 +4,6 @@ use rayon::prelude::*;
 
 use super::occupied::Occupied;
 use crate::Result;
-use crate::control::span;
 use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
 use crate::lattice::Refined;
@@ -22,7 +21,6 @@ pub(crate) fn refine(
     options: &DetectOptions,
     control: &Control,
 ) -> Result<Vec<Refined>> {
-    span!("refine");
     let Occupied { positions, occupancy } = queries;
     let number = positions.len();
     let counter = control.begin("refinement", number * (options.refine_steps + 1));

@@ -50,8 +50,7 @@ pub(super) fn encode_rotated_copies(
     for rotation in rotations::super_fibonacci(*rotations) {
         let rotation = rotations::compose(&rotation, orientation);
         let point = |index: usize| rotate(&rotation, normalization.to_network(points[index]));
-        let limits = control.get_limits();
-        let volume = network.encoder.encode(points.len(), point, &mut memory.encoder, limits, &counter)?;
+        let volume = network.encoder.encode(points.len(), point, &mut memory.encoder, &counter)?;
         counter.check()?;
         copies.push(RotatedCopy { rotation, volume: finite(volume)? });
     }

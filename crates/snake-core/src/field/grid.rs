@@ -62,7 +62,6 @@ impl Grid {
     ///
     /// # Errors
     /// Those of `values`, and [`Error::Input`] when it does not return a value for each position.
-    #[cfg(feature = "ndarray")]
     pub fn array(&self, mut values: impl FnMut(&[Point]) -> Result<Vec<f32>>) -> Result<ndarray::Array3<f32>> {
         let mut all = Vec::with_capacity(self.resolution.pow(3));
         for index in 0..self.resolution {
@@ -124,6 +123,23 @@ mod tests {
             }
         }
         assert!(field.grid(1).is_err() && field.grid(513).is_err());
+    }
+
+    #[test]
+    fn arrays_have_the_values_of_their_positions() {
+        let (_, field) = cylinder();
+        let grid = field.grid(9).unwrap();
+        let array = grid.array(|queries| field.occupancy(queries)).unwrap();
+        for (z, y, x) in [(0, 0, 0), (3, 5, 7), (8, 1, 4)] {
+            let query = [grid.coordinate(0, x), grid.coordinate(1, y), grid.coordinate(2, z)];
+            assert_eq!(array[[z, y, x]], field.occupancy(&[query]).unwrap()[0]);
+        }
+        assert!(grid.array(|_| Ok(vec![0.0])).unwrap_err().to_string().contains("9 for a grid"));
+        let (volume, shape) = (field.volume(), field.volume().shape());
+        let [_, height, width, channels] = shape;
+        assert_eq!(volume.view().shape(), shape);
+        let index = ((3 * height + 4) * width + 5) * channels + 6;
+        assert_eq!(volume.view()[[3, 4, 5, 6]], volume.features()[index]);
     }
 
     #[test]

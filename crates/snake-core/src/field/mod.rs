@@ -18,10 +18,9 @@ use self::copies::{Placement, RotatedCopy, encode_rotated_copies};
 use self::values::rotated;
 use crate::Result;
 use crate::cloud::UsedCloud;
-use crate::control::{Control, span};
+use crate::control::Control;
 use crate::lattice::{Lattice, Queries};
 use crate::network::Network;
-use crate::network::check::volume_bytes;
 use crate::network::config::ModelConfig;
 use crate::network::layers::TILE;
 use crate::network::volume::Volume;
@@ -52,10 +51,6 @@ impl Field {
         memory: &mut FieldMemory,
         control: &Control,
     ) -> Result<Self> {
-        span!("encode");
-        let limits = control.get_limits();
-        limits.check_points(cloud.num_given())?;
-        limits.check_volume_bytes(volume_bytes(&network.config, options.rotations))?;
         let (normalization, orientation) = network.config.volume.place(&cloud, options, control)?;
         let placement = Placement { normalization, orientation, rotations: options.rotations };
         let points = cloud.points();
@@ -87,7 +82,6 @@ impl Field {
         control: &Control,
     ) -> Result<Self> {
         let number = source.num_points();
-        control.get_limits().check_points(number)?;
         let buffers = (std::mem::take(&mut memory.points), std::mem::take(&mut memory.indices));
         let finite = FinitePoints::copied("points", (0..number).map(|index| source.point(index)), buffers)?;
         Self::new(network, UsedCloud::from_finite(finite, number), options, memory, control)

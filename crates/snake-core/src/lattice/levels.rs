@@ -58,11 +58,6 @@ impl FinestLevel {
         let all = near.with(&about_cells(REACH));
         (all.len() <= max).then_some(Self { filled, near, all })
     }
-
-    /// The number of blocks.
-    pub(crate) fn len(&self) -> usize {
-        self.all.len()
-    }
 }
 
 /// The levels of the U-Net from the finest on.

@@ -27,7 +27,6 @@ pub(crate) use self::corner::lowest_corner;
 pub use self::cube::VolumeFrame;
 pub(crate) use self::levels::{FinestLevel, Level, levels};
 pub(crate) use self::queries::{Queries, Refined};
-pub(crate) use self::shape::TimeBudget;
 pub use self::shape::VolumeShape;
 pub(crate) use self::voxel_groups::VoxelGroups;
 pub(crate) use self::voxel_size::voxel_size;

@@ -10,7 +10,7 @@ use crate::control::Control;
 use crate::options::EncodeOptions;
 use crate::{Error, Result};
 use snake_geometry::rotations::{self, Rotation};
-use snake_geometry::{Length, Normalization, NormalizationMethod, Point};
+use snake_geometry::{Length, Normalization, NormalizationMethod};
 
 /// The extent of a network's feature volume.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,14 +24,6 @@ pub enum VolumeShape {
         /// The total weight of points below which a voxel counts their features less.
         scatter_mass: f32,
     },
-}
-
-/// The options that make a detection cheaper.
-pub(crate) enum TimeBudget {
-    /// Fewer points and fewer queries.
-    PointsAndQueries,
-    /// Larger voxels.
-    VoxelSize,
 }
 
 impl VolumeShape {
@@ -120,23 +112,6 @@ impl VolumeShape {
                 cloud.coordinate_step().filter(|step| step.length > f64::from(frame.voxel_size(scale)))
             }
             Self::Scene { .. } => coarse_step(options.voxel_size, cloud),
-        }
-    }
-
-    /// The sphere to which finite points are scaled; `None` if they keep their scale, or have none.
-    pub(crate) fn scaled_sphere(&self, points: &[Point], method: NormalizationMethod) -> Option<Normalization> {
-        match (self, method) {
-            (Self::Scene { .. }, _) => None,
-            (Self::Cube(_), method) if method.is_fixed() => None,
-            (Self::Cube(_), _) => Normalization::from_finite(points, NormalizationMethod::UnitSphere).ok(),
-        }
-    }
-
-    /// The options that make a detection cheaper.
-    pub(crate) fn time_budget(&self) -> TimeBudget {
-        match self {
-            Self::Cube(_) => TimeBudget::PointsAndQueries,
-            Self::Scene { .. } => TimeBudget::VoxelSize,
         }
     }
 }

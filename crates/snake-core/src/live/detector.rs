@@ -60,7 +60,7 @@ impl FrameDetector {
         self.detect_into_with(source, detection, &Control::default())
     }
 
-    /// [`FrameDetector::detect_into`] with progress, cancellation and limits.
+    /// [`FrameDetector::detect_into`] with progress, cancellation and a deadline.
     ///
     /// # Errors
     /// The errors of [`Model::detect_with`].
@@ -70,7 +70,6 @@ impl FrameDetector {
         detection: &mut Detection,
         control: &Control,
     ) -> Result<()> {
-        self.model.network().check_evaluations(&self.options, control.get_limits())?;
         let Options { encode, detect } = &self.options;
         let start = Instant::now();
         let field = Field::from_source(self.model.network().clone(), source, encode, &mut self.memory, control)?;
@@ -85,7 +84,7 @@ impl FrameDetector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, Error, Limits, Point, SeparateAxes};
+    use crate::{Builtin, CancelFlag, Error, Point, SeparateAxes};
 
     /// A bent sheet of 1500 points, some of which are not finite.
     fn cloud(bend: f32, is_missing: impl Fn(usize) -> bool) -> Vec<Point> {
@@ -123,9 +122,10 @@ mod tests {
         let kept = detection.clone();
         let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut detection).unwrap_err().to_string();
         assert_eq!(error, "points: none of the 4 points is finite");
-        let control = Control::new().limits(Limits::default().with_max_points(Some(100)));
-        let refused = detector.detect_into_with(&points, &mut detection, &control);
-        assert!(matches!(refused, Err(Error::LimitExceeded { what: "points", number: 1500, limit: 100 })));
+        let flag = CancelFlag::default();
+        flag.cancel();
+        let cancelled = detector.detect_into_with(&points, &mut detection, &Control::new().cancel(&flag));
+        assert!(matches!(cancelled, Err(Error::Cancelled)));
         assert_eq!(detection, kept);
         detector.detect_into(&points, &mut detection).unwrap();
         assert_eq!(detection.keypoints, kept.keypoints);

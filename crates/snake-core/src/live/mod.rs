@@ -1,8 +1,5 @@
-//! One cloud after another: the same memory again, a time for each, and which keypoint was seen before.
+//! One cloud after another, in the same memory.
 
 mod detector;
-mod realtime;
-mod tracker;
 
 pub use detector::FrameDetector;
-pub use tracker::{Tracker, TrackerOptions};

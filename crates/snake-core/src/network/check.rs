@@ -2,7 +2,6 @@
 //! file could use all memory or run for hours, although each option is within its range.
 
 use super::{ModelConfig, Network, weights};
-use crate::control::Limits;
 use crate::options::{DetectOptions, EncodeOptions, Options};
 use crate::{Error, Result};
 
@@ -11,13 +10,6 @@ impl Network {
     pub(crate) fn check(&self, options: &Options) -> Result<()> {
         self.check_encode(&options.encode)?;
         self.check_detect(&options.detect, options.encode.rotations)
-    }
-
-    /// Refuses more evaluations of the decoders than one call may have. Those of a scene are known once its cells are counted.
-    pub(crate) fn check_evaluations(&self, options: &Options, limits: &Limits) -> Result<()> {
-        let Options { encode, detect } = options;
-        let queries = self.config.frame().map_or(0, |_| detect.query_resolution.saturating_pow(3));
-        limits.check_evaluations(&detect.evaluations(queries, encode.rotations))
     }
 
     /// [`Network::check`] for options of encoding.
@@ -63,11 +55,6 @@ fn volume_values(config: &ModelConfig) -> usize {
     config.volume.num_voxels() * widest(config)
 }
 
-/// Bytes of the feature volumes of a number of rotations.
-pub(crate) fn volume_bytes(config: &ModelConfig, rotations: usize) -> usize {
-    volume_values(config).saturating_mul(rotations).saturating_mul(size_of::<f32>())
-}
-
 fn widest(config: &ModelConfig) -> usize {
     config.c_dim.max(config.unet_base_channels).max(MIN_CHANNELS)
 }
@@ -87,11 +74,6 @@ pub(super) fn check_volume(config: &ModelConfig) -> Result<()> {
 /// The maximum number of blocks of a scene's volume with this number of channels.
 pub(crate) fn max_blocks(channels: usize) -> usize {
     MAX_SCENE_VALUES / (snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS))
-}
-
-/// Bytes of a scene's volume of a number of blocks.
-pub(crate) fn scene_bytes(blocks: usize, channels: usize) -> usize {
-    blocks * snake_kernels::BLOCK_VOXELS * channels.max(MIN_CHANNELS) * size_of::<f32>()
 }
 
 /// Refuses more rotations than fit into the memory for feature volumes.

@@ -32,7 +32,6 @@ impl Volume {
     }
 
     /// The features as an array with the dimensions of [`Volume::shape`], without a copy.
-    #[cfg(feature = "ndarray")]
     pub fn view(&self) -> ndarray::ArrayView4<'_, f32> {
         ndarray::ArrayView::from_shape(self.shape(), self.features()).expect("as many features as the shape says")
     }

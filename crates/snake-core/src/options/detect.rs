@@ -111,11 +111,6 @@ options! {
 }
 
 impl DetectOptions {
-    /// The factors of the largest number of decoder evaluations, for a number of queries and of rotated copies.
-    pub(crate) fn evaluations(&self, queries: usize, rotations: usize) -> [usize; 3] {
-        [queries, self.refine_steps.saturating_add(1), rotations]
-    }
-
     /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.
     pub(crate) fn radii(&self, points: &[Point], voxel_size: f32) -> Result<Radii> {
         let units = |name, length: Length| match length {

@@ -123,13 +123,6 @@ impl RigidTransform {
     pub fn subtract_origins(self, source: [f64; 3], target: [f64; 3]) -> Self {
         self.add_origins(source.map(|v| -v), target.map(|v| -v))
     }
-
-    /// Converts to a transform between clouds whose coordinates have been divided by `unit`.
-    #[must_use]
-    pub fn in_units_of(mut self, unit: f64) -> Self {
-        self.0.translation.vector /= unit;
-        self
-    }
 }
 
 impl Default for RigidTransform {
@@ -274,12 +267,5 @@ mod tests {
         }
         let (angle, distance) = far.subtract_origins(source, target).angle_and_distance_to(&near);
         assert!(angle < 1e-7 && distance < 1e-12);
-    }
-
-    #[test]
-    fn a_unit_divides_the_translation_only() {
-        let halved = RigidTransform::from_matrix(ROWS).unwrap().in_units_of(2.0).to_matrix();
-        let expected = [[0.0, -1.0, 0.0, 1.75], [1.0, 0.0, 0.0, -5e5], [0.0, 0.0, 1.0, 0.125], ROWS[3]];
-        assert_eq!(halved, expected);
     }
 }

@@ -1,7 +1,5 @@
 //! Arrays: NumPy files and archives.
 
-pub(crate) mod array;
 pub(crate) mod array_files;
 pub(crate) mod npy;
-#[cfg(feature = "npz")]
 pub(crate) mod npz;

@@ -2,12 +2,11 @@
 
 use std::io::{self, Write};
 
-use crate::arrays::array::Array;
 use crate::table::scalar::Scalar;
 use crate::table::shape::{Position, Shape, check_left_over};
-use crate::table::{Place, Table, decode};
+use crate::table::{Place, decode};
 use crate::text::columns::Columns;
-use snake_geometry::{Point, RigidTransform, excerpt};
+use snake_geometry::excerpt;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -27,13 +26,6 @@ pub(crate) fn positions<'a>(
     }
     let places = array.places(columns.map_or(Ok([0, 1, 2]), Columns::in_array)?)?;
     Ok(decode(data, array.rows, places))
-}
-
-/// The table of the first columns of an array, with these names.
-pub(crate) fn table<'a, const N: usize>(bytes: &'a [u8], names: [&str; N]) -> Result<Table<'a>, String> {
-    let (array, data) = open_cloud(bytes)?;
-    let places = array.places(std::array::from_fn::<_, N, _>(|column| column))?;
-    Ok(Table::binary(names.map(String::from).into(), data, array.rows, places.into()))
 }
 
 /// [`positions`] as a shape without faces.
@@ -56,56 +48,10 @@ fn open_cloud(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
 }
 
 /// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`, that is no matrix of a camera or transform.
-#[cfg(feature = "npz")]
 pub(crate) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
     let is_matrix = |array: &ArrayHeader| matches!((array.rows, array.columns), (3, 3) | (3 | 4, 4));
     array.is_some_and(|array| array.clouds.is_none() && !is_matrix(&array))
-}
-
-/// Reads clouds from an array `(S, N, C)`, `C >= 3`, in C order.
-pub(crate) fn read_clouds(bytes: &[u8]) -> Result<Vec<Vec<Point>>, String> {
-    let (array, data) = open(bytes)?;
-    let clouds = array.clouds.filter(|_| !array.fortran_order).ok_or("expected (S, N, 3) in C order")?;
-    // Without points there are no items whose bytes would limit the number of clouds.
-    if array.rows == 0 {
-        return Err("clouds without points".into());
-    }
-    let cloud = |cloud| {
-        let rows = decode(array.data_of(data, cloud), array.rows, [0, 1, 2].map(|column| array.place(column)));
-        rows.map(|point| point.map(|v| v as f32)).collect()
-    };
-    Ok((0..clouds).map(cloud).collect())
-}
-
-/// Reads transforms from an array `(S, 3, 4)` or `(S, 4, 4)`, row by row. A missing fourth row is 0 0 0 1.
-pub(crate) fn read_transforms(bytes: &[u8]) -> Result<Vec<RigidTransform>, String> {
-    let (array, data) = open(bytes)?;
-    let plain = matches!((array.rows, array.columns), (3 | 4, 4)) && !array.fortran_order;
-    let transforms = array.clouds.filter(|_| plain).ok_or("expected (S, 3, 4) or (S, 4, 4) in C order")?;
-    let row = |data: &[u8], row: usize| {
-        if row < array.rows {
-            std::array::from_fn(|column| array.item(data, row, column))
-        } else {
-            [0.0, 0.0, 0.0, 1.0]
-        }
-    };
-    let one = |transform| {
-        let data = array.data_of(data, transform);
-        let rows = std::array::from_fn(|i| row(data, i));
-        RigidTransform::from_matrix(rows).map_err(|reason| format!("transform {transform}: {reason}"))
-    };
-    (0..transforms).map(one).collect()
-}
-
-/// Reads an array of any shape.
-pub(crate) fn read_array(bytes: &[u8]) -> Result<Array, String> {
-    let (header, data) = split_header(bytes).ok_or("not a .npy file, or cut short within its header")?;
-    let Described { descr, fortran_order, shape } = Described::parse(header)?;
-    let lengths = shape.split(',').map(str::trim).filter(|length| !length.is_empty()).map(str::parse);
-    let lengths: Vec<usize> =
-        lengths.collect::<Result<_, _>>().map_err(|_| format!("shape ({})", excerpt(&shape, 40)))?;
-    Array::decode(&descr, &lengths, fortran_order, data)
 }
 
 /// The header and the data. The data is checked to hold the whole array.
@@ -221,11 +167,6 @@ impl ArrayHeader {
         }
     }
 
-    /// The data from the start of a cloud.
-    fn data_of<'a>(&self, data: &'a [u8], cloud: usize) -> &'a [u8] {
-        &data[cloud * self.rows * self.columns * self.scalar.size..]
-    }
-
     fn places<const N: usize>(&self, columns: [usize; N]) -> Result<[Place; N], String> {
         match columns.iter().find(|&&column| column >= self.columns) {
             Some(missing) => Err(format!("no column {}; the array has {}", missing.saturating_add(1), self.columns)),
@@ -339,63 +280,6 @@ mod tests {
     }
 
     #[test]
-    fn arrays_of_clouds_are_read_cloud_by_cloud() {
-        let values: Vec<i8> = (0..16).collect();
-        let bytes = npy(1, "<i2", "False", "(2, 2, 4)", &encode(&values, "<i2"));
-        let expected = [[[0.0, 1.0, 2.0], [4.0, 5.0, 6.0]], [[8.0, 9.0, 10.0], [12.0, 13.0, 14.0]]];
-        assert_eq!(read_clouds(&bytes).unwrap(), expected);
-        for length in 0..bytes.len() {
-            read_clouds(&bytes[..length]).unwrap_err();
-        }
-        for shape in ["(2, 3, 3)", "(4, 4)", "(1, 2, 2, 4)", "(99999999999, 0, 3)", "(2, 9223372036854775807, 4)"] {
-            read_clouds(&npy(1, "<i2", "False", shape, &encode(&values, "<i2"))).unwrap_err();
-        }
-        read_clouds(&npy(1, "<i2", "True", "(2, 2, 4)", &encode(&values, "<i2"))).unwrap_err();
-    }
-
-    #[test]
-    fn transforms_have_three_rows_or_four() {
-        const ROWS: [[i8; 4]; 4] = [[0, -1, 0, 7], [1, 0, 0, -3], [0, 0, 1, 5], [0, 0, 0, 1]];
-        const IDENTITY: [[i8; 4]; 4] = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
-        let file = |order: &str, shape: &str, values: &[i8]| npy(1, "<f8", order, shape, &encode(values, "<f8"));
-        let read = |order: &str, shape: &str| {
-            let rows = if shape.contains("3, 4)") { 3 } else { 4 };
-            let values = [&IDENTITY[..rows], &ROWS[..rows]].concat().concat();
-            read_transforms(&file(order, shape, &values))
-        };
-        for shape in ["(2, 4, 4)", "(2, 3, 4)"] {
-            assert_eq!(read("False", shape).unwrap()[1].to_matrix(), ROWS.map(|row| row.map(f64::from)), "{shape}");
-        }
-        // The values are exact and not rounded to f32.
-        let mut third = [1.0, 0.0, 0.0, 1.0 / 3.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0_f64];
-        let exact = |values: &[f64]| {
-            npy(1, "<f8", "False", "(1, 3, 4)", &values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
-        };
-        assert_eq!(read_transforms(&exact(&third)).unwrap()[0].to_matrix()[0][3], 1.0 / 3.0);
-        third[0] = 2.0;
-        let error = read_transforms(&exact(&third)).unwrap_err();
-        assert!(error.starts_with("transform 0: rigid transform: expected"), "{error}");
-        for (order, shape) in
-            [("True", "(2, 4, 4)"), ("False", "(4, 4)"), ("False", "(1, 5, 4)"), ("False", "(3, 4, 4)")]
-        {
-            read(order, shape).unwrap_err();
-        }
-    }
-
-    #[test]
-    fn arrays_have_any_shape() {
-        let values: Vec<i8> = (0..16).collect();
-        for shape in ["(16,)", "(2, 2, 2, 2)", "(4, 4)"] {
-            let array = read_array(&npy(1, "<i2", "False", shape, &encode(&values, "<i2"))).unwrap();
-            assert_eq!(array.items, (0..16).map(f64::from).collect::<Vec<_>>());
-        }
-        assert_eq!(read_array(&npy(1, "<i2", "False", "()", &[7, 0])).unwrap().items, [7.0]);
-        for (descr, shape) in [("<i2", "(17,)"), ("<i2", "(2, -1)"), ("|O", "(2,)")] {
-            read_array(&npy(1, descr, "False", shape, &encode(&values, "<i2"))).unwrap_err();
-        }
-    }
-
-    #[test]
     fn columns_can_be_chosen() {
         let bytes = npy(1, "<i2", "False", "(2, 5)", &encode(&[9, 9, 1, 2, 3, 9, 9, 4, 5, 6], "<i2"));
         let read = |columns: &str| points(super::read(&bytes, Some(&columns.parse().unwrap())));
@@ -412,7 +296,8 @@ mod tests {
         let mut bytes = Vec::new();
         write_volume(&mut bytes, [2, 4, 3], &values).unwrap();
         assert_eq!(bytes.len() % 64, 24 * 4 % 64, "the data begins at a multiple of 64 bytes");
-        assert_eq!(read_clouds(&bytes).unwrap().concat().concat(), values);
+        let data: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        assert!(bytes.ends_with(&data) && String::from_utf8_lossy(&bytes[..128]).contains("'shape': (2, 4, 3)"));
         let path = std::path::Path::new("nowhere/volume.npy");
         assert!(crate::write_volume(path, [2, 4, 4], &values).unwrap_err().to_string().contains("24 values"));
     }

@@ -5,7 +5,6 @@ use std::io::{Cursor, Read};
 use zip::ZipArchive;
 
 use crate::MAX_EXPANSION;
-use crate::arrays::array::Array;
 use crate::arrays::npy;
 use crate::table::shape::Shape;
 use crate::text::columns::Columns;
@@ -29,16 +28,6 @@ pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     };
     let array = unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?;
     npy::read(&array, columns).map_err(|reason| format!("array `{}`: {reason}", name(&archive, index)))
-}
-
-/// Reads those of the named arrays that the archive has, in the order of `names`.
-pub(crate) fn read_named(bytes: &[u8], names: &[&str]) -> Result<Vec<Option<Array>>, String> {
-    let mut archive = open(bytes)?;
-    let mut named = |name: &&str| {
-        let Some(index) = archive.index_for_name(&format!("{name}.npy")) else { return Ok(None) };
-        npy::read_array(&unpack(&mut archive, index, bytes.len().saturating_mul(MAX_EXPANSION))?).map(Some)
-    };
-    names.iter().map(|name| named(name).map_err(|reason| format!("array `{name}`: {reason}"))).collect()
 }
 
 fn open(bytes: &[u8]) -> Result<Archive<'_>, String> {
@@ -120,22 +109,10 @@ mod tests {
     }
 
     #[test]
-    fn arrays_are_found_by_their_names() {
-        let file = npz(&[("a.npy", npy([2, 3])), ("b.npy", npy([4, 1])), ("zeros.npy", vec![0; 1 << 20])]);
-        let shapes = |names: &[&str]| -> Result<Vec<Option<Vec<usize>>>, String> {
-            Ok(read_named(&file, names)?.into_iter().map(|array| Some(array?.shape)).collect())
-        };
-        assert_eq!(shapes(&["b", "a"]), Ok(vec![Some(vec![4, 1]), Some(vec![2, 3])]));
-        assert_eq!(shapes(&["a", "c"]), Ok(vec![Some(vec![2, 3]), None]));
-        assert!(shapes(&["zeros"]).unwrap_err().starts_with("array `zeros`: not a .npy file"));
-    }
-
-    #[test]
     fn damaged_archives_and_bombs_are_refused() {
         let whole = npz(&[("points.npy", npy([5, 3]))]);
         for length in 0..whole.len() {
             read(&whole[..length], None).unwrap_err();
-            read_named(&whole[..length], &["points"]).unwrap_err();
         }
         assert!(read(b"\x93NUMPY", None).unwrap_err().contains("not a .npz file"));
         // 24 MB of zeros take about 24 kB.

@@ -1,9 +1,7 @@
 //! The file formats with their names, extensions and signatures; the reader of each is one file here or
 //! stands with arrays, text or laser scans.
 
-#[cfg(feature = "e57")]
 pub(crate) mod e57;
-#[cfg(feature = "gltf")]
 pub(crate) mod gltf;
 pub(crate) mod lzf;
 pub(crate) mod obj;
@@ -21,9 +19,7 @@ use std::sync::LazyLock;
 use serde::Deserialize;
 
 use crate::arrays::npy;
-#[cfg(feature = "npz")]
 use crate::arrays::npz;
-#[cfg(feature = "laz")]
 use crate::las;
 use crate::table::shape::Shape;
 use crate::text::columns::Columns;
@@ -42,19 +38,6 @@ struct Format {
 
 /// Reads the points, in chosen columns, and the faces if they are wanted.
 type Read = fn(&[u8], Option<&Columns>, bool) -> std::result::Result<Shape, String>;
-
-/// A reader that a feature of the crate brings.
-macro_rules! with_feature {
-    ($feature:literal, $read:expr) => {{
-        #[cfg(feature = $feature)]
-        const READ: Read = $read;
-        #[cfg(not(feature = $feature))]
-        const READ: Read = |_, _, _| {
-            Err(concat!("this build cannot read it: it lacks the feature `", $feature, "` of snake-io").into())
-        };
-        READ
-    }};
-}
 
 const fn row(
     format: PointFormat,
@@ -77,15 +60,15 @@ const FORMATS: &[Format] = &[
     row(PointFormat::Pts, "PTS", &["pts"], &[], |bytes, columns, _| text::read_counted(bytes, columns)),
     row(PointFormat::Npy, "NPY", &["npy"], &[npy::MAGIC], |bytes, columns, _| npy::read(bytes, columns)),
     row(PointFormat::Npz, "NPZ", &["npz"], &[b"PK\x03\x04"],
-        with_feature!("npz", |bytes, columns, _| npz::read(bytes, columns))),
+        |bytes, columns, _| npz::read(bytes, columns)),
     row(PointFormat::Obj, "OBJ", &["obj"], &[], |bytes, _, _| obj::read(bytes)),
     row(PointFormat::Off, "OFF", &["off"], &[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"],
         |bytes, _, _| off::read(bytes)),
     row(PointFormat::Stl, "STL", &["stl"], &[b"solid "], |bytes, _, _| stl::read(bytes)),
-    row(PointFormat::Las, "LAS", &["las", "laz"], &[b"LASF"], with_feature!("laz", |bytes, _, _| las::read(bytes))),
-    row(PointFormat::E57, "E57", &["e57"], &[b"ASTM-E57"], with_feature!("e57", |bytes, _, _| e57::read(bytes))),
+    row(PointFormat::Las, "LAS", &["las", "laz"], &[b"LASF"], |bytes, _, _| las::read(bytes)),
+    row(PointFormat::E57, "E57", &["e57"], &[b"ASTM-E57"], |bytes, _, _| e57::read(bytes)),
     row(PointFormat::Gltf, "glTF", &["gltf", "glb"], &[b"glTF"],
-        with_feature!("gltf", |bytes, _, _| gltf::read(bytes))),
+        |bytes, _, _| gltf::read(bytes)),
     row(PointFormat::Kitti, "KITTI", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 4)),
     row(PointFormat::Nuscenes, "nuScenes", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 5)),
 ];
@@ -99,10 +82,7 @@ const WRITTEN: &[Written] = &[
     ("csv", Some(CloudFormat::Csv), Some(KeypointFormat::Csv)),
     ("keypointnet.json", None, Some(KeypointFormat::KeypointNet)),
     ("json", None, Some(KeypointFormat::Json)),
-    #[cfg(feature = "laz")]
     ("laz", None, Some(KeypointFormat::Laz)),
-    #[cfg(feature = "parquet")]
-    ("parquet", None, Some(KeypointFormat::Parquet)),
 ];
 
 /// The extensions that [`PointFormat::from_path`] accepts.
@@ -252,26 +232,22 @@ pub enum KeypointFormat {
     Json,
     /// KeypointNet annotations: a list with one shape and its keypoints.
     KeypointNet,
-    /// LAZ with saliency, occupancy and nearest index as extra dimensions; with the feature `laz`.
-    #[cfg(feature = "laz")]
+    /// LAZ with saliency, occupancy and nearest index as extra dimensions.
     Laz,
-    /// Parquet with the metadata of GeoParquet; with the feature `parquet`.
-    #[cfg(feature = "parquet")]
-    Parquet,
 }
 
 impl KeypointFormat {
     /// The format of a file by its extension, in upper or lower case.
     ///
     /// # Errors
-    /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`]; [`Error::Feature`] when it is that of a format
-    /// that this build does not write.
+    /// [`Error::Format`] when the extension is not among [`KEYPOINT_EXTENSIONS`].
     pub fn from_path(path: &Path) -> Result<Self> {
-        match extension(path).as_str() {
-            "laz" if !cfg!(feature = "laz") => Err(Error::Feature { path: path.into(), feature: "laz" }),
-            "parquet" if !cfg!(feature = "parquet") => Err(Error::Feature { path: path.into(), feature: "parquet" }),
-            _ => written_format(path, &KEYPOINT_EXTENSIONS, |(.., format)| *format),
+        if extension(path) == "parquet" {
+            let reason = "Parquet is not written; write .csv, which GeoPandas converts: t = pandas.read_csv('FILE.csv'); \
+                          geopandas.GeoDataFrame(t, geometry=geopandas.points_from_xy(t.x, t.y, t.z)).to_parquet('FILE')";
+            return Err(Error::Format { path: path.into(), reason: reason.into() });
         }
+        written_format(path, &KEYPOINT_EXTENSIONS, |(.., format)| *format)
     }
 
     /// The extension of files in this format.
@@ -321,11 +297,15 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
     }
 }
 
+/// The command that converts a bag of ROS 2 in SQLite files.
+pub(crate) const CONVERT_BAG: &str =
+    "ros2 bag convert -i FOLDER -o OPTIONS.yaml with output_bags: [{uri: drive, storage_id: mcap, all: true}]";
+
 /// A command that converts a file of a format that is not read.
-fn conversion(extension: &str) -> Option<&'static str> {
-    Some(match extension {
+fn conversion(extension: &str) -> Option<String> {
+    let command = match extension {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",
-        "db3" => "it is a recording, which `read_recording` and `snake-cli detect` read",
+        "db3" => return Some(format!("convert the bag: {CONVERT_BAG}")),
         "zstd" | "zst" => "decompress it: zstd -d FILE",
         "gz" => "decompress it: gunzip --keep FILE",
         "bz2" => "decompress it: bunzip2 --keep FILE",
@@ -350,7 +330,8 @@ fn conversion(extension: &str) -> Option<&'static str> {
         "fbx" | "dae" | "3ds" | "3mf" | "blend" => "convert it to a mesh: assimp export FILE FILE.ply",
         "step" | "stp" | "iges" | "igs" => "convert it to a mesh: freecadcmd, then Mesh.export to FILE.stl",
         _ => return None,
-    })
+    };
+    Some(command.into())
 }
 
 pub(crate) fn extension(path: &Path) -> String {

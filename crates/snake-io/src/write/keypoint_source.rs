@@ -13,10 +13,8 @@ pub struct KeypointSource {
     pub class_id: String,
     /// Name of the shape, for KeypointNet annotations.
     pub model_id: String,
-    /// The coordinate reference system, which Parquet and LAZ files state.
+    /// The coordinate reference system, which LAZ files state.
     pub crs: Option<Crs>,
-    /// The tile of each keypoint, a column of Parquet files; empty without tiles.
-    pub tiles: Vec<[i32; 2]>,
 }
 
 impl KeypointSource {

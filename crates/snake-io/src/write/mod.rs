@@ -2,11 +2,8 @@
 
 pub(crate) mod json;
 pub(crate) mod keypoint_source;
-#[cfg(feature = "laz")]
 mod laz;
 pub(crate) mod mesh;
-#[cfg(feature = "parquet")]
-pub(crate) mod parquet;
 mod ply;
 mod rows;
 
@@ -52,10 +49,7 @@ impl KeypointFormat {
             Self::Csv => rows.write_csv(out),
             Self::Json => json::write(out, keypoints, source.origin),
             Self::KeypointNet => json::write_keypointnet(out, keypoints, source),
-            #[cfg(feature = "laz")]
             Self::Laz => laz::write(out, keypoints, source),
-            #[cfg(feature = "parquet")]
-            Self::Parquet => parquet::write(out, keypoints, source),
         }
     }
 }

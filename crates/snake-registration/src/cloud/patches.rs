@@ -11,46 +11,48 @@ use rayon::prelude::*;
 use crate::cloud::planes::PlanePair;
 use crate::cloud::voxels::voxel_means;
 use crate::rigid::moved;
-use crate::tuning::tuning;
 use snake_core::{Counter, Result};
 use snake_geometry::{Neighbors, Point, Vector, eigen};
 
-tuning! {
-    /// Smallest side of a fine voxel.
-    min_side: f64 = 0.125, unit "voxels", from "set by hand in b0e7886";
-    /// A cloud has about this many fine voxels at most; their side follows.
-    max_voxels: f64 = 60_000.0, unit "fine voxels", from "set by hand in b0e7886";
-    /// A cloud is finer than its voxels if it has this many fine voxels for each; below, a
-    /// refinement on them is not worth its time.
-    min_ratio: usize = 4, unit "fine voxels per voxel", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of nearest fine voxels whose covariance gives a normal.
-    neighbors: NonZeroUsize = NonZeroUsize::new(16).unwrap(), unit "fine voxels", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Largest ratio of the variance across a planar patch to the smaller variance along it.
-    max_thickness: f64 = 0.15, unit "ratio of variances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled
-    /// disc has 0.25. Points where a beam crosses an edge have less: they lie on a plane that is no
-    /// part of the surface.
-    min_width: f64 = 0.1, unit "ratio of variances", from "set by hand in b0e7886";
-    /// The normals of two patches agree if their cosine is above this.
-    agreeing_cosine: f64 = 0.9, unit "cosine", from "set by hand in b0e7886";
-    /// Number of the source's fine voxels that are paired, at most.
-    samples: usize = 2500, unit "fine voxels", from "set for time in 8e0d76d (0.08 instead of 0.11 s of CPU for a pair of made streets)";
-    /// Largest side of a fine voxel whose points can show that two surfaces lie apart.
-    max_side: f64 = 0.2, unit "voxels", from "set by hand in e823698";
-    /// Patches tell what the overlap leaves open if they make up this share of it.
-    min_planar: f64 = 0.5, unit "share of the overlap",
-        from "corridors, tunnels and balls have 0.7 and more, wires and rough things less (190fc07)";
-    /// Two patches coincide if their distance is below this many of their joint thicknesses.
-    coinciding: f64 = 2.0, unit "standard deviations", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// A surface farther from a place does not tell whether the place lies on it.
-    near: f64 = 0.5, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// A place on a planar patch lies on another patch whose plane is closer than this.
-    max_offset: f64 = 0.15, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Other places lie on a surface that is closer than this.
-    max_apart: f64 = 0.25, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Fewer patches do not show whether the surfaces coincide.
-    min_pairs: usize = 100, unit "patches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-}
+/// Smallest side of a fine voxel. Unit: voxels. Set by hand.
+const MIN_SIDE: f64 = 0.125;
+/// A cloud has about this many fine voxels at most; their side follows. Set by hand.
+const MAX_VOXELS: f64 = 60_000.0;
+/// A cloud is finer than its voxels if it has this many fine voxels for each; below, a refinement on them is not worth
+/// its time. Unit: fine voxels per voxel. Half and twice change no outcome.
+const MIN_RATIO: usize = 4;
+/// Number of nearest fine voxels whose covariance gives a normal. Half and twice change no outcome.
+const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
+/// Largest ratio of the variance across a planar patch to the smaller variance along it. Unit: ratio of variances. Half
+/// and twice change no outcome.
+const MAX_THICKNESS: f64 = 0.15;
+/// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled disc has 0.25. Points
+/// where a beam crosses an edge have less: they lie on a plane that is no part of the surface. Unit: ratio of
+/// variances. Set by hand.
+const MIN_WIDTH: f64 = 0.1;
+/// The normals of two patches agree if their cosine is above this. Set by hand.
+pub(crate) const AGREEING_COSINE: f64 = 0.9;
+/// Number of the source's fine voxels that are paired, at most. Set for time (0.08 instead of 0.11 s of CPU for a pair
+/// of made streets).
+const SAMPLES: usize = 2500;
+/// Largest side of a fine voxel whose points can show that two surfaces lie apart. Unit: voxels. Set by hand.
+const MAX_SIDE: f64 = 0.2;
+/// Patches tell what the overlap leaves open if they make up this share of it. Unit: share of the overlap. Corridors,
+/// tunnels and balls have 0.7 and more, wires and rough things less.
+const MIN_PLANAR: f64 = 0.5;
+/// Two patches coincide if their distance is below this many of their joint thicknesses. Unit: standard deviations.
+/// Half and twice change no outcome.
+const COINCIDING: f64 = 2.0;
+/// A surface farther from a place does not tell whether the place lies on it. Unit: inlier distances. Half and twice
+/// change no outcome.
+pub(crate) const NEAR: f64 = 0.5;
+/// A place on a planar patch lies on another patch whose plane is closer than this. Unit: inlier distances. Half and
+/// twice change no outcome.
+pub(crate) const MAX_OFFSET: f64 = 0.15;
+/// Other places lie on a surface that is closer than this. Unit: inlier distances. Half and twice change no outcome.
+const MAX_APART: f64 = 0.25;
+/// Fewer patches do not show whether the surfaces coincide. Half and twice change no outcome.
+pub(crate) const MIN_PAIRS: usize = 100;
 
 /// The normal of a planar patch, without a sign, and the standard deviation across it.
 #[derive(Clone, Copy)]
@@ -97,10 +99,10 @@ impl FineCloud {
     /// A cloud that has `count` voxels of side `voxel_size`.
     pub(crate) fn new(points: &[Point], voxel_size: f64, count: usize) -> Result<Self> {
         // The number of voxels of a surface follows from the square of their side.
-        let side = voxel_size * TUNING.min_side.max((count as f64 / TUNING.max_voxels).sqrt());
+        let side = voxel_size * MIN_SIDE.max((count as f64 / MAX_VOXELS).sqrt());
         let means = voxel_means(points, side, &Counter::default())?;
         let surroundings = (0..means.len()).map(|_| OnceLock::new()).collect();
-        let is_finer = means.len() >= TUNING.min_ratio * count;
+        let is_finer = means.len() >= MIN_RATIO * count;
         Ok(Self { cloud: Neighbors::new(means)?, surroundings, side, is_finer })
     }
 
@@ -111,11 +113,11 @@ impl FineCloud {
 
     fn surroundings(&self, index: usize) -> Surroundings {
         *self.surroundings[index].get_or_init(|| {
-            let near = self.cloud.nearest(&self.cloud.points[index], TUNING.neighbors);
+            let near = self.cloud.nearest(&self.cloud.points[index], NEIGHBORS);
             let radius = near.last().map_or(0.0, |(_, distance)| *distance);
             let near: Vec<usize> = near.into_iter().map(|(index, _)| index).collect();
             let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
-            let is_planar = across < TUNING.max_thickness * width && width > TUNING.min_width * radius * radius;
+            let is_planar = across < MAX_THICKNESS * width && width > MIN_WIDTH * radius * radius;
             let patch = is_planar.then(|| Patch { normal, thickness: across.max(0.0).sqrt() });
             Surroundings { patch, radius }
         })
@@ -177,17 +179,17 @@ impl FineCloud {
     /// between samples.
     pub(crate) fn lies_on(&self, place: &Place, inlier_distance: f64) -> Option<bool> {
         let (nearest, distance) = *self.cloud.nearest(&place.point, NonZeroUsize::MIN).first()?;
-        if distance > TUNING.near * inlier_distance {
+        if distance > NEAR * inlier_distance {
             return None;
         }
         let offset = self.cloud.points[nearest] - place.point;
         let Surroundings { patch, radius } = self.surroundings(nearest);
         match (&place.normal, patch) {
             (Some(normal), Some(patch)) => Some(
-                patch.normal.dot(normal).abs() > TUNING.agreeing_cosine
-                    && normal.dot(&offset).abs() < TUNING.max_offset * inlier_distance,
+                patch.normal.dot(normal).abs() > AGREEING_COSINE
+                    && normal.dot(&offset).abs() < MAX_OFFSET * inlier_distance,
             ),
-            _ if distance < TUNING.max_apart * inlier_distance => Some(true),
+            _ if distance < MAX_APART * inlier_distance => Some(true),
             _ => (distance > radius).then_some(false),
         }
     }
@@ -204,7 +206,7 @@ impl FineCloud {
         let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
         let point = self.cloud.points[nearest];
         let is_on = distance < max_distance && normal.dot(&(point - place)).abs() < tolerance;
-        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > TUNING.agreeing_cosine).then_some(point)
+        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > AGREEING_COSINE).then_some(point)
     }
 }
 
@@ -237,10 +239,10 @@ pub(crate) fn overlap(
         let cosine = a.dot(&b);
         let normal = (if cosine < 0.0 { b - a } else { a + b }).normalize();
         let distance = normal.dot(&(target.cloud.points[nearest] - point));
-        let coincides = distance.abs() < TUNING.coinciding * source_patch.thickness.hypot(target_patch.thickness);
-        (cosine.abs() > TUNING.agreeing_cosine).then_some((PlanePair { point, normal, distance }, coincides))
+        let coincides = distance.abs() < COINCIDING * source_patch.thickness.hypot(target_patch.thickness);
+        (cosine.abs() > AGREEING_COSINE).then_some((PlanePair { point, normal, distance }, coincides))
     };
-    let step = source.cloud.points.len().div_ceil(TUNING.samples);
+    let step = source.cloud.points.len().div_ceil(SAMPLES);
     let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
     let pairs: Vec<Option<(PlanePair, bool)>> = indices.filter_map(near).map(pair).collect();
     let count = pairs.len().max(1) as f64;
@@ -252,13 +254,13 @@ pub(crate) fn overlap(
 impl Overlap {
     /// Whether planar patches make up enough of the overlap to tell what it leaves open.
     pub(crate) fn is_planar(&self) -> bool {
-        self.planar >= TUNING.min_planar
+        self.planar >= MIN_PLANAR
     }
 
     /// The share of the patches that coincide; `None` where the points are too coarse to show it.
     pub(crate) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
-        let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < TUNING.max_side * voxel_size;
-        (self.patches.len() >= TUNING.min_pairs && clouds.iter().all(is_fine)).then_some(self.coinciding)
+        let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < MAX_SIDE * voxel_size;
+        (self.patches.len() >= MIN_PAIRS && clouds.iter().all(is_fine)).then_some(self.coinciding)
     }
 }
 

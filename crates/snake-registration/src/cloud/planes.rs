@@ -6,13 +6,11 @@ use rayon::prelude::*;
 
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;
-use crate::tuning::tuning;
 use snake_geometry::Vector;
 
-tuning! {
-    /// Pairs do not constrain a direction whose mean squared cosine to the normals is below this.
-    open_direction: f64 = 1e-3, unit "mean squared cosine", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-}
+/// Pairs do not constrain a direction whose mean squared cosine to the normals is below this. Half and twice change no
+/// outcome.
+const OPEN_DIRECTION: f64 = 1e-3;
 
 /// A source point in the target frame and the plane that it belongs to.
 #[derive(Debug, Clone, Copy)]
@@ -116,7 +114,7 @@ impl NormalEquations {
     /// The least-squares step; directions that are not constrained stay.
     fn step(&self) -> IsometryMatrix3<f64> {
         let eigen = self.information.symmetric_eigen();
-        let constrained = |value: &f64| *value > TUNING.open_direction * self.count;
+        let constrained = |value: &f64| *value > OPEN_DIRECTION * self.count;
         let directions = eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter());
         let steps = directions.filter(|(_, value)| constrained(value));
         let step: Vector6<f64> =

@@ -6,25 +6,23 @@ use rayon::prelude::*;
 use crate::cloud::depth_image::{COARSE, DepthImage, FINE, Sight};
 use crate::cloud::near_grid::NearGrid;
 use crate::rigid::moved;
-use crate::tuning::tuning;
 use snake_geometry::Vector;
 
-tuning! {
-    /// Two normals agree if their cosine is above this.
-    agreeing_cosine: f64 = 0.7, unit "cosine", from "set by hand in 3738705";
-    /// Tolerance of a coarse depth image.
-    depth_margin: f64 = 1.5, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Weight of violated free space beside the overlap in the score of a transform.
-    violation_weight: f64 = 2.0, unit "overlap per share of violated free space",
-        from "chosen on pairs of indoor scans in 3738705";
-    /// Weight of an inlier beside the overlap in the score of a transform.
-    inlier_weight: f64 = 0.005, unit "overlap per inlier", from "chosen on pairs of indoor scans in 3738705";
-    /// Largest share of opposite normals on the overlap if the sensors were at the origins.
-    max_opposed: f64 = 0.15, unit "share of the overlap",
-        from "scans have 0.05 and less, simulated sweeps 0.14, objects around the origin 0.2 to 0.5 (042ae1b)";
-    /// Number of the source's voxels that compare transforms coarsely, at most.
-    coarse_voxels: usize = 700, unit "voxels", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-}
+/// Two normals agree if their cosine is above this. Set by hand.
+pub(crate) const AGREEING_COSINE: f64 = 0.7;
+/// Tolerance of a coarse depth image. Unit: inlier distances. Half and twice change no outcome.
+pub(crate) const DEPTH_MARGIN: f64 = 1.5;
+/// Weight of violated free space beside the overlap in the score of a transform. Unit: overlap per share of violated
+/// free space. Chosen on pairs of indoor scans.
+const VIOLATION_WEIGHT: f64 = 2.0;
+/// Weight of an inlier beside the overlap in the score of a transform. Unit: overlap per inlier. Chosen on pairs of
+/// indoor scans.
+const INLIER_WEIGHT: f64 = 0.005;
+/// Largest share of opposite normals on the overlap if the sensors were at the origins. Unit: share of the overlap.
+/// Scans have 0.05 and less, simulated sweeps 0.14, objects around the origin 0.2 to 0.5.
+pub(crate) const MAX_OPPOSED: f64 = 0.15;
+/// Number of the source's voxels that compare transforms coarsely, at most. Half and twice change no outcome.
+const COARSE_VOXELS: usize = 700;
 
 /// The voxels of a cloud, indexed for the comparison with another cloud.
 pub(crate) struct Surface<'a> {
@@ -32,8 +30,6 @@ pub(crate) struct Surface<'a> {
     pub(crate) normals: &'a [Vector],
     /// Finds voxels within the inlier distance.
     pub(crate) grid: NearGrid,
-    /// Whether normals point to the sensor.
-    signed: bool,
     /// What the sensor saw; `None` if it is not known.
     image: Option<DepthImage>,
 }
@@ -51,18 +47,18 @@ impl Agreement {
     /// The score that ranks transforms. Planes overlap under many wrong transforms, so the inliers
     /// count too.
     pub(crate) fn score(&self, num_inliers: usize) -> f64 {
-        self.fit() + TUNING.inlier_weight * num_inliers as f64
+        self.fit() + INLIER_WEIGHT * num_inliers as f64
     }
 
     /// The overlap less the violated free space.
     pub(crate) fn fit(&self) -> f64 {
-        self.overlap - TUNING.violation_weight * self.violation
+        self.overlap - VIOLATION_WEIGHT * self.violation
     }
 }
 
 /// A coarse comparison takes every so many voxels of a cloud with this many.
 pub(crate) fn coarse_step(voxels: usize) -> usize {
-    voxels.div_ceil(TUNING.coarse_voxels)
+    voxels.div_ceil(COARSE_VOXELS)
 }
 
 impl<'a> Surface<'a> {
@@ -72,25 +68,20 @@ impl<'a> Surface<'a> {
         viewpoint: Option<Vector>,
         inlier_distance: f64,
     ) -> Self {
-        let margin = TUNING.depth_margin * inlier_distance;
+        let margin = DEPTH_MARGIN * inlier_distance;
         let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, margin, COARSE));
-        Self { points, normals, grid: NearGrid::new(points, inlier_distance), signed: image.is_some(), image }
-    }
-
-    /// The same surface, whose normals have no signs.
-    pub(crate) fn without_signs(self) -> Self {
-        Self { signed: false, ..self }
+        Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
     }
 
     /// Whether normals point to the sensor.
     pub(crate) fn is_signed(&self) -> bool {
-        self.signed
+        self.image.is_some()
     }
 
     /// Whether two normals agree; normals without a sign may be opposite.
     fn agree(&self, a: &Vector, b: &Vector) -> bool {
         let cosine = a.dot(b);
-        (if self.is_signed() { cosine } else { cosine.abs() }) > TUNING.agreeing_cosine
+        (if self.is_signed() { cosine } else { cosine.abs() }) > AGREEING_COSINE
     }
 
     /// The unit vector between two normals that agree.
@@ -146,7 +137,7 @@ impl<'a> Surface<'a> {
             Some((transform.rotation * source.normals[index]).dot(&target.normals[other]))
         };
         let cosines = (0..source.points.len()).into_par_iter().filter_map(cosine);
-        let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > TUNING.agreeing_cosine).collect();
+        let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > AGREEING_COSINE).collect();
         parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
     }
 

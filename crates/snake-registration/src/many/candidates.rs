@@ -4,9 +4,15 @@ use rayon::prelude::*;
 
 use snake_core::{Control, Result};
 
-use super::TUNING;
 use crate::steps::PreparedCloud;
 use crate::steps::describe::{Rows, describe_cloud};
+
+/// Number of visual words: groups of similar descriptors. Set by hand.
+const WORDS: usize = 64;
+/// Number of descriptors of all clouds from which the words are made, at most. Set by hand.
+const SAMPLES: usize = 16_000;
+/// Number of rounds of k-means. Set by hand.
+const WORD_ROUNDS: usize = 10;
 
 /// The pairs `[source, target]` that are worth a registration, source above target, ordered. Each
 /// cloud is paired with the `count` clouds whose descriptors are most similar, and with the next
@@ -51,10 +57,10 @@ fn nearest(row: &[f32], words: &[f32], dimension: usize) -> usize {
 fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32>> {
     let total: usize = rows.iter().map(|rows| rows.len() / dimension).sum();
     let all = rows.iter().flat_map(|rows| rows.chunks_exact(dimension));
-    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(TUNING.samples).max(1)).collect();
-    let first = sample.iter().step_by(sample.len().div_ceil(TUNING.words).max(1));
+    let sample: Vec<&[f32]> = all.step_by(total.div_ceil(SAMPLES).max(1)).collect();
+    let first = sample.iter().step_by(sample.len().div_ceil(WORDS).max(1));
     let mut words: Vec<f32> = first.flat_map(|row| row.iter().copied()).collect();
-    for _ in 0..TUNING.word_rounds {
+    for _ in 0..WORD_ROUNDS {
         control.check()?;
         let members: Vec<usize> = sample.par_iter().map(|row| nearest(row, &words, dimension)).collect();
         let mut sums = vec![0.0_f32; words.len()];

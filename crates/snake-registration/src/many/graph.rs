@@ -6,8 +6,11 @@ use nalgebra::{IsometryMatrix3, Matrix6};
 
 use snake_core::{Counter, Result};
 
-use super::TUNING;
 use super::pose_graph::{Link, covariances, optimize};
+
+/// Links that contradict the others are dropped at once if their error is above this share of the greatest. Unit: share
+/// of the greatest error. Set by hand.
+const DROPPED: f64 = 0.5;
 
 /// Clouds that links connect.
 pub(super) struct Part {
@@ -50,7 +53,7 @@ pub(super) fn split(
             parts.sort_by_key(|part| (usize::MAX - part.clouds.len(), part.clouds[0]));
             return Ok(parts);
         }
-        let limit = f64::max(1.0, TUNING.dropped * worst);
+        let limit = f64::max(1.0, DROPPED * worst);
         kept.retain(|link| errors[link] <= limit);
     }
 }

@@ -55,7 +55,7 @@ pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> 
             let Some(&last) = by_cloud[target].get(&third) else { continue };
             let first = by_cloud[source][&third];
             let others = [&witnesses[first], &witnesses[last]];
-            if others.iter().any(|other| other.confidence < judge::TUNING.reliable) {
+            if others.iter().any(|other| other.confidence < judge::RELIABLE) {
                 continue;
             }
             let distance = others.iter().map(|other| other.distance).fold(witness.distance, f64::max);

@@ -28,56 +28,16 @@ use crate::steps::judge::less_confident;
 use crate::steps::judge::units_note;
 use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, PreparedCloud};
-use crate::tuning::tuning;
 use alone::registered_alone;
 use priors::Priors;
 pub use result::{Alignment, Contradiction, Edge, Pose};
 use solved::{Solved, believed, solve};
 
-tuning! {
-    /// Number of clouds, at most: the poses are solved for in one dense matrix.
-    max_clouds: usize = 500, unit "clouds", from "set by hand in 595368d";
-    /// Number of visual words: groups of similar descriptors.
-    words: usize = 64, unit "words", from "set by hand in 595368d";
-    /// Number of descriptors of all clouds from which the words are made, at most.
-    samples: usize = 16_000, unit "descriptors", from "set by hand in 595368d";
-    /// Number of rounds of k-means.
-    word_rounds: usize = 10, unit "rounds", from "set by hand in 595368d";
-    /// A loop of three transforms is closed if it moves points by less than this.
-    loop_distance: f64 = 3.0, unit "inlier distances", from "set by hand in 595368d";
-    /// Links that contradict the others are dropped at once if their error is above this share of
-    /// the greatest.
-    dropped: f64 = 0.5, unit "share of the greatest error", from "set by hand in c6a0685";
-    /// Number of steps with one set of robust weights.
-    pose_steps: usize = 8, unit "steps", from "set by hand in 595368d";
-    /// A link with a larger squared error has no weight; it is also the widest kernel. The poses
-    /// start from the most reliable links, and without the limit some wrong links that agree with
-    /// each other outvote them.
-    widest: f64 = 100.0, unit "squared thresholds", from "set by hand in c6a0685";
-    /// Factor by which the kernel narrows from one round to the next.
-    narrowing: f64 = 1.6, unit "ratio of widths", from "set by hand in 595368d";
-    /// A smaller step ends the round.
-    pose_tolerance: f64 = 1e-7, unit "radians, and inlier distances", from "set by hand in 595368d";
-    /// Damping of directions that no link fixes.
-    min_damping: f64 = 1e-9, unit "share of the diagonal", from "set by hand in 595368d";
-    /// Number of rounds of the last refinement, at most; each measures every pair of clouds again.
-    refine_rounds: usize = 30, unit "rounds", from "set by hand in c6a0685";
-    /// The last refinement ends when no cloud moves by more than this.
-    refine_tolerance: f64 = 0.01, unit "inlier distances", from "set by hand in c6a0685";
-    /// Clouds are registered from their poses if this share of the probes is close to the other
-    /// cloud.
-    min_overlap: f64 = 0.2, unit "share of the probes", from "set by hand in f9a1dee";
-    /// Clouds refine the poses if this share of the probes is close to the other cloud.
-    min_common: f64 = 0.1, unit "share of the probes", from "set by hand in c6a0685";
-    /// Number of pairs without a reliable transform that get a second look, for each part that they
-    /// would join to others.
-    second_looks: usize = 3, unit "pairs", from "set for time";
-    /// A transform contradicts initial poses if it moves the source farther from where they put it.
-    /// A thing has at least twice its standard deviation in height, so that a storey is higher.
-    prior_tolerance: f64 = 1.5, unit "least standard deviations of a cloud", from "set by hand";
-    /// Points are close if they are nearer than this.
-    overlap_distance: f64 = 2.0, unit "inlier distances", from "set by hand in f9a1dee";
-}
+/// Number of clouds, at most: the poses are solved for in one dense matrix. Set by hand.
+const MAX_CLOUDS: usize = 500;
+/// Number of pairs without a reliable transform that get a second look, for each part that they would join to others.
+/// Set for time.
+const SECOND_LOOKS: usize = 3;
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
@@ -177,11 +137,8 @@ pub fn align_with(
 
 /// Refuses too few or too many clouds.
 fn check_count(count: usize) -> Result<()> {
-    if !(2..=TUNING.max_clouds).contains(&count) {
-        return Err(Error::Input {
-            what: "clouds",
-            reason: format!("{count} of them; needed are 2 to {}", TUNING.max_clouds),
-        });
+    if !(2..=MAX_CLOUDS).contains(&count) {
+        return Err(Error::Input { what: "clouds", reason: format!("{count} of them; needed are 2 to {MAX_CLOUDS}") });
     }
     Ok(())
 }
@@ -253,7 +210,7 @@ fn look_again(
     options: &RegisterOptions,
     control: &Control,
 ) -> Result<Vec<Registered>> {
-    let joining = solved.joining(TUNING.second_looks);
+    let joining = solved.joining(SECOND_LOOKS);
     register_each("finer voxels", &joining, control, |(clouds, first), control| {
         let scale = pyramid.common(clouds);
         let [Some(source), Some(target)] = clouds.map(|cloud| pyramid.finer(cloud, scale)) else { return Ok(None) };

@@ -5,10 +5,22 @@
 
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
-use super::TUNING;
 use crate::rigid::rotation_vector;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
+
+/// Number of steps with one set of robust weights. Set by hand.
+const POSE_STEPS: usize = 8;
+/// A link with a larger squared error has no weight; it is also the widest kernel. The poses start from the most
+/// reliable links, and without the limit some wrong links that agree with each other outvote them. Unit: squared
+/// thresholds. Set by hand.
+const WIDEST: f64 = 100.0;
+/// Factor by which the kernel narrows from one round to the next. Unit: ratio of widths. Set by hand.
+const NARROWING: f64 = 1.6;
+/// A smaller step ends the round. Unit: radians, and inlier distances. Set by hand.
+const POSE_TOLERANCE: f64 = 1e-7;
+/// Damping of directions that no link fixes. Unit: share of the diagonal. Set by hand.
+const MIN_DAMPING: f64 = 1e-9;
 
 /// A measured transform between two poses.
 #[derive(Debug, Clone)]
@@ -84,10 +96,10 @@ pub(super) fn optimize(
 ) -> Result<()> {
     let squared = threshold * threshold;
     let largest = links.iter().map(|link| link.squared_error(poses)).fold(0.0, f64::max);
-    let mut width = (2.0 * largest / squared).clamp(1.0, TUNING.widest);
+    let mut width = (2.0 * largest / squared).clamp(1.0, WIDEST);
     loop {
         let weight = |link: &Link| match link.squared_error(poses) {
-            error if error > TUNING.widest * squared => 0.0,
+            error if error > WIDEST * squared => 0.0,
             error => (width * squared / (error + width * squared)).powi(2),
         };
         let weights: Vec<f64> = links.iter().map(weight).collect();
@@ -95,7 +107,7 @@ pub(super) fn optimize(
         if width == 1.0 {
             return Ok(());
         }
-        width = (width / TUNING.narrowing).max(1.0);
+        width = (width / NARROWING).max(1.0);
     }
 }
 
@@ -112,7 +124,7 @@ pub(super) fn least_squares(
         costs.sum()
     };
     let (mut damping, mut best) = (1e-6, cost(poses));
-    for _ in 0..TUNING.pose_steps {
+    for _ in 0..POSE_STEPS {
         counter.check()?;
         let (normal, gradient) = normal_equations(poses, links, weights);
         let Some(inverse) = damped(&normal, damping).cholesky() else {
@@ -133,8 +145,8 @@ pub(super) fn least_squares(
             continue;
         }
         poses.copy_from_slice(&moved);
-        (best, damping) = (moved_cost, (damping / 10.0).max(TUNING.min_damping));
-        if step.amax() < TUNING.pose_tolerance * scale.min(1.0) {
+        (best, damping) = (moved_cost, (damping / 10.0).max(MIN_DAMPING));
+        if step.amax() < POSE_TOLERANCE * scale.min(1.0) {
             break;
         }
     }
@@ -171,7 +183,7 @@ fn normal_equations(poses: &[IsometryMatrix3<f64>], links: &[Link], weights: &[f
 /// The matrix with its diagonal raised, and no entry there next to zero.
 fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut damped = normal.clone();
-    let least = TUNING.min_damping * normal.diagonal().max();
+    let least = MIN_DAMPING * normal.diagonal().max();
     for i in 0..damped.nrows() {
         damped[(i, i)] = (damped[(i, i)] * (1.0 + damping)).max(least).max(f64::MIN_POSITIVE);
     }
@@ -184,7 +196,7 @@ fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
 /// large, but finite.
 pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
     let (normal, _) = normal_equations(poses, links, &vec![1.0; links.len()]);
-    let mut damping = TUNING.min_damping;
+    let mut damping = MIN_DAMPING;
     let inverse = loop {
         // Enough damping makes any matrix of a sum of squares positive definite.
         match damped(&normal, damping).cholesky() {

@@ -8,13 +8,18 @@ use snake_core::{Control, Error, Result};
 use snake_geometry::{Length, RigidTransform, Vector, least_spread, resolution};
 
 use super::solved::probes;
-use super::{Contradiction, Registered, TUNING};
+use super::{Contradiction, Registered};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::register::tries::{Effort, Search};
 use crate::result::Registration;
 use crate::rigid::{displacement, moved};
 use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, approach, refine};
+
+/// A transform contradicts initial poses if it moves the source farther from where they put it. A thing has at least
+/// twice its standard deviation in height, so that a storey is higher. Unit: least standard deviations of a cloud. Set
+/// by hand.
+const PRIOR_TOLERANCE: f64 = 1.5;
 
 /// The initial poses of clouds in one frame, with the distances that do not contradict them.
 pub(super) struct Priors {
@@ -44,8 +49,8 @@ impl Priors {
         let tolerance = tolerance.map(|length| length.resolve("pose_tolerance", || coarsest)).transpose()?;
         let clouds = || 0..pyramid.len();
         let by_cloud = |cloud: usize| {
-            let least = refine::TUNING.min_difference * pyramid.inlier_distance(pyramid.common(&[cloud]));
-            least.max(TUNING.prior_tolerance * least_spread(&pyramid.own(cloud).voxels.voxels.points))
+            let least = refine::MIN_DIFFERENCE * pyramid.inlier_distance(pyramid.common(&[cloud]));
+            least.max(PRIOR_TOLERANCE * least_spread(&pyramid.own(cloud).voxels.voxels.points))
         };
         Ok(Self {
             poses: clouds().map(poses).collect(),

@@ -5,12 +5,16 @@ use rayon::prelude::*;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
 
-use super::TUNING;
 use super::graph::Part;
 use super::pose_graph::{Link, least_squares};
 use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::displacement;
 use crate::steps::refine::icp::remeasure;
+
+/// Number of rounds of the last refinement, at most; each measures every pair of clouds again. Set by hand.
+const REFINE_ROUNDS: usize = 30;
+/// The last refinement ends when no cloud moves by more than this. Unit: inlier distances. Set by hand.
+const REFINE_TOLERANCE: f64 = 0.01;
 
 /// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their
 /// places in the part, as are `surfaces`.
@@ -26,7 +30,7 @@ pub(super) fn refine(
     counter: &Counter,
 ) -> Result<()> {
     let Part { clouds, poses, .. } = part;
-    for _ in 0..TUNING.refine_rounds {
+    for _ in 0..REFINE_ROUNDS {
         counter.check()?;
         let measure = |&[source, target]: &[usize; 2]| {
             let pair = [source, target].map(|at| &surfaces[at]);
@@ -44,7 +48,7 @@ pub(super) fn refine(
         least_squares(poses, &links, &vec![1.0; links.len()], distance, counter)?;
         let moved = clouds.iter().zip(before.iter().zip(&*poses));
         let moved = moved.map(|(&cloud, (before, after))| displacement(before, after, &probes[cloud]));
-        if moved.fold(0.0, f64::max) < TUNING.refine_tolerance * distance {
+        if moved.fold(0.0, f64::max) < REFINE_TOLERANCE * distance {
             break;
         }
     }

@@ -8,7 +8,6 @@ use rayon::prelude::*;
 use snake_core::{Control, Result};
 use snake_geometry::Vector;
 
-use super::TUNING;
 use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
 use super::pose_graph::Link;
@@ -21,9 +20,18 @@ use crate::rigid::moved;
 use crate::steps::prepare::Pyramid;
 use crate::steps::{PreparedCloud, consensus, judge};
 
+/// A loop of three transforms is closed if it moves points by less than this. Unit: inlier distances. Set by hand.
+const LOOP_DISTANCE: f64 = 3.0;
+/// Clouds are registered from their poses if this share of the probes is close to the other cloud. Set by hand.
+const MIN_OVERLAP: f64 = 0.2;
+/// Clouds refine the poses if this share of the probes is close to the other cloud. Set by hand.
+const MIN_COMMON: f64 = 0.1;
+/// Points are close if they are nearer than this. Unit: inlier distances. Set by hand.
+const OVERLAP_DISTANCE: f64 = 2.0;
+
 /// A transform takes part in the pose graph if its probability of being wrong is at most this.
 fn max_doubt() -> f64 {
-    1.0 - judge::TUNING.reliable
+    1.0 - judge::RELIABLE
 }
 
 /// Poses that follow registrations.
@@ -57,7 +65,7 @@ pub(super) fn solve(
     if options.icp_steps > 0 {
         for part in &mut parts {
             let scale = pyramid.common(&part.clouds);
-            let pairs = overlapping(part, pyramid, TUNING.min_common);
+            let pairs = overlapping(part, pyramid, MIN_COMMON);
             let usual = |cloud| pyramid.cloud(cloud, scale);
             let finer = |cloud| pyramid.finer(cloud, scale).unwrap_or(usual(cloud));
             refine(part, &pairs, &surfaces(part, usual), &probes, &counter)?;
@@ -80,8 +88,7 @@ pub(super) fn believed(pyramid: &Pyramid, registered: &[Registered]) -> Vec<[usi
 /// The probability that each registration is wrong.
 fn all_doubts(pyramid: &Pyramid, registered: &[Registered], probes: &[Vec<Vector>]) -> Vec<f64> {
     let distance = |pair: &[usize; 2]| pyramid.inlier_distance(pyramid.common(pair));
-    let witness =
-        |(pair, registration): &Registered| witness(*pair, registration, TUNING.loop_distance * distance(pair));
+    let witness = |(pair, registration): &Registered| witness(*pair, registration, LOOP_DISTANCE * distance(pair));
     doubts(&registered.iter().map(witness).collect::<Vec<_>>(), probes)
 }
 
@@ -101,7 +108,7 @@ impl Solved {
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
         let mut guesses: Vec<Trial> = Vec::new();
         for part in &self.parts {
-            for [at, before] in overlapping(part, pyramid, TUNING.min_overlap) {
+            for [at, before] in overlapping(part, pyramid, MIN_OVERLAP) {
                 let pair = [part.clouds[at], part.clouds[before]];
                 if !linked.contains(&pair) {
                     let guess = part.poses[before].inverse() * part.poses[at];
@@ -123,7 +130,7 @@ impl Solved {
         }
         let is_open = |(pair, registration): &&Registered| {
             let verdict = &registration.verdict;
-            let repeats = verdict.repeat_fit > judge::TUNING.repeated;
+            let repeats = verdict.repeat_fit > judge::REPEATED;
             !verdict.is_reliable && !repeats && part_of[&pair[0]] != part_of[&pair[1]]
         };
         let mut open: Vec<&Registered> = self.registered.iter().filter(is_open).collect();
@@ -207,7 +214,7 @@ fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 
         let target = &pyramid.cloud(part.clouds[before], scale).voxels.voxels;
         let probes = probes(pyramid.cloud(part.clouds[at], scale));
         let is_close =
-            |probe: &&Vector| target.distance(&moved(&transform, probe)) < TUNING.overlap_distance * inlier_distance;
+            |probe: &&Vector| target.distance(&moved(&transform, probe)) < OVERLAP_DISTANCE * inlier_distance;
         probes.iter().filter(is_close).count() as f64 >= min_overlap * probes.len() as f64
     };
     all.into_par_iter().filter(overlap).collect()
@@ -216,7 +223,7 @@ fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 
 /// Points of a cloud that tell how far it moves.
 pub(super) fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
     let points = &cloud.voxels.voxels.points;
-    points.iter().step_by(points.len().div_ceil(consensus::TUNING.probes).max(1)).copied().collect()
+    points.iter().step_by(points.len().div_ceil(consensus::PROBES).max(1)).copied().collect()
 }
 
 fn witness([source, target]: [usize; 2], registration: &Registration, distance: f64) -> Witness {

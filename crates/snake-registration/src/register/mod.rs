@@ -1,6 +1,5 @@
 //! Registration of two clouds.
 
-mod instances;
 mod prepared_map;
 mod scale;
 #[cfg(test)]

@@ -8,13 +8,10 @@ use super::tries::{Effort, Search};
 use crate::options::{PairOptions, RegisterOptions, check_viewpoint};
 use crate::result::Registration;
 use crate::steps::{Lengths, Pair, PreparedCloud, prepare};
-use crate::tuning::tuning;
 
-tuning! {
-    /// Number of keypoints of a map, at most.
-    keypoints: usize = 20_000, unit "keypoints",
-        from "a script as tests/bench/maps.py, overlaps of 0.4 and more: 23 of 25 scans are right in 2.2 times the time of a pair; with 16 000 22 in 1.9, with 40 000 23 in 3.3, with all 22 in 5.4 (before descriptors were compared in lanes)";
-}
+/// Number of keypoints of a map, at most. 23 of 25 scans are right in 2.2 times the time of a pair; with 16 000 22 in
+/// 1.9, with 40 000 23 in 3.3, with all 22 in 5.4.
+const KEYPOINTS: usize = 20_000;
 
 /// A map that scans are registered to, such as a floor of rooms or a street. Its voxels, normals and
 /// descriptors are made once and kept.
@@ -52,7 +49,7 @@ impl PreparedMap {
         map_options.place_viewpoints(&mut viewpoints, &[map.origin]);
         // The seed of a pair's target: with that of the source, equal clouds would have equal random
         // keypoints.
-        let map_options = map_options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(TUNING.keypoints);
+        let map_options = map_options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(KEYPOINTS);
         let model = options.model_to_run(model)?;
         let prepared = prepare(&[&map.points], &viewpoints, model, &map_options, control)?.clouds.remove(0);
         Ok(Self { prepared, origin: map.origin, model: model.cloned(), options: *options })

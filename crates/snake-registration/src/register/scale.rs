@@ -5,18 +5,15 @@ use crate::options::PairOptions;
 use crate::result::Registration;
 use crate::steps::judge::{best_scale, less_confident};
 use crate::steps::prepare::Given;
-use crate::tuning::tuning;
 use snake_core::{Control, Error, Result};
 use snake_geometry::Point;
 
-tuning! {
-    /// Ratio of two factors that are tried one after the other.
-    ratio: f64 = 1.12, unit "ratio", from "sources 5 percent off are registered";
-    /// Number of factors to either side of 1.
-    factors: i32 = 14, unit "factors", from "1.12 to the 14th is 4.9";
-    /// Number of times that the factor is made exact.
-    rounds: usize = 2, unit "rounds", from "set by hand";
-}
+/// Ratio of two factors that are tried one after the other. Sources 5 percent off are registered.
+const RATIO: f64 = 1.12;
+/// Number of factors to either side of 1. 1.12 to the 14th is 4.9.
+const FACTORS: i32 = 14;
+/// Number of times that the factor is made exact. Set by hand.
+const ROUNDS: usize = 2;
 
 /// The registration at the scale at which it is most confident. Factors near 1 are tried first,
 /// until one is reliable.
@@ -25,8 +22,8 @@ tuning! {
 /// The errors of [`register_with`](crate::register_with).
 pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
     let mut best: Option<Registration> = None;
-    for power in (0..=TUNING.factors).flat_map(|power| [power, -power]).skip(1) {
-        let outcome = at_scale(given, pair_options, TUNING.ratio.powi(power), control).map(less_confident);
+    for power in (0..=FACTORS).flat_map(|power| [power, -power]).skip(1) {
+        let outcome = at_scale(given, pair_options, RATIO.powi(power), control).map(less_confident);
         keep(&mut best, outcome, Keep::MoreConfident)?;
         if best.as_ref().is_some_and(|best| best.verdict.is_reliable) {
             break;
@@ -39,7 +36,7 @@ pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, cont
 fn at_scale(given: &Given, pair_options: &PairOptions, factor: f64, control: &Control) -> Result<Registration> {
     let mut scale = factor;
     let mut best: Option<Registration> = None;
-    for _ in 0..=TUNING.rounds {
+    for _ in 0..=ROUNDS {
         let source: Vec<Point> =
             given.points[0].iter().map(|point| point.map(|v| (scale * f64::from(v)) as f32)).collect();
         let viewpoints = vec![given.viewpoint(0).map(|at| at.map(|v| scale * v)), given.viewpoint(1)];
@@ -55,7 +52,7 @@ fn at_scale(given: &Given, pair_options: &PairOptions, factor: f64, control: &Co
         // The exact factor counts unless it is doubtful.
         let how = if one.verdict.is_reliable { Keep::Always } else { Keep::MoreConfident };
         keep(&mut best, Ok(one), how)?;
-        if (change - 1.0).abs() < 1e-3 || !(1.0 / TUNING.ratio..TUNING.ratio).contains(&change) {
+        if (change - 1.0).abs() < 1e-3 || !(1.0 / RATIO..RATIO).contains(&change) {
             break;
         }
         scale *= change;

@@ -305,7 +305,7 @@ fn register_runs_the_public_steps() {
     let pair = pair.without_signs();
     let rows = describe(&pair, &control).unwrap();
     let matches = pair.matches(&match_rows(&rows[0], &rows[1], options.max_matches, &control).unwrap()).unwrap();
-    let guesses = consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, &control).unwrap();
+    let guesses = consensus(&matches, pair.criteria(), steps::consensus::CANDIDATES, &control).unwrap();
     let candidates = refine(&pair, &matches, &guesses, options.icp_steps, 1, &control).unwrap();
     let judged = judge(&pair, &matches, &candidates).unwrap();
     let unsigned = run(source, &target, &options.with_use_viewpoints(false)).unwrap();

@@ -1,6 +1,5 @@
 //! Every way in which the transform of a pair is searched for, as one table.
 
-use super::instances::register_instances;
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
 use crate::rigid::displacement;
@@ -9,21 +8,20 @@ use crate::steps::prepare::{Given, Level};
 use crate::steps::refine::refine_supported;
 use crate::steps::single_matches::Voters;
 use crate::steps::{self, Match, Pair, approach, challenge, consensus, describe, judge, match_rows, refine};
-use crate::tuning::tuning;
 use snake_core::{Control, Error, Result};
 use snake_geometry::RigidTransform;
 
-tuning! {
-    /// Number of matches beside those of the usual search, for transforms of single matches.
-    matches: f64 = 2.5, unit "ratio",
-        from "with 1, two of 35 validation pairs fewer are right";
-    /// Number of transforms of single matches that are compared on the clouds, at most.
-    candidates: usize = 40, unit "transforms", from "100 find no more on validation pairs";
-    /// Number of transforms that are refined on all voxels.
-    refined: usize = 12, unit "transforms", from "60 find no more on validation pairs";
-    /// A try on finer voxels confirms a transform that moves the source by less than this from its own.
-    confirmed: f64 = 0.5, unit "inlier distances", from "three of three right ones have 0.1 to 0.27";
-}
+/// Number of matches beside those of the usual search, for transforms of single matches. With 1, two of 35 validation
+/// pairs fewer are right.
+const MATCHES: f64 = 2.5;
+/// Number of transforms of single matches that are compared on the clouds, at most. 100 find no more on validation
+/// pairs.
+const CANDIDATES: usize = 40;
+/// Number of transforms that are refined on all voxels. 60 find no more on validation pairs.
+const REFINED: usize = 12;
+/// A try on finer voxels confirms a transform that moves the source by less than this from its own. Unit: inlier
+/// distances. Three of three right ones have 0.1 to 0.27.
+const CONFIRMED: f64 = 0.5;
 
 /// One try: a row of [`TRIES`].
 struct Try {
@@ -123,7 +121,7 @@ impl Tried {
 
     /// Whether the target repeats itself, so that another try would not change the verdict.
     fn repeats(&self) -> bool {
-        self.best.as_ref().is_some_and(|best| best.verdict.repeat_fit > judge::TUNING.repeated)
+        self.best.as_ref().is_some_and(|best| best.verdict.repeat_fit > judge::REPEATED)
     }
 }
 
@@ -139,14 +137,11 @@ impl<'a, 'p> Search<'a, 'p> {
         Self { pair, options, pair_options, guesses: &[], effort, given: None, control }
     }
 
-    /// The registration by the tries that apply, or by point pairs of several instances.
+    /// The registration by the tries that apply.
     ///
     /// # Errors
     /// The errors of [`register_with`](crate::register_with).
     pub(crate) fn register(&self) -> Result<Registration> {
-        if self.pair_options.instances > 1 {
-            return register_instances(self.pair, self.pair_options, self.control);
-        }
         let mut registration = self.run()?;
         registration.hypotheses.truncate(self.pair_options.hypotheses);
         note_rounding(&mut registration, self.pair_options);
@@ -172,12 +167,12 @@ impl<'a, 'p> Search<'a, 'p> {
     fn by_matches(&self, pair: &Pair, tried: &mut Tried) -> Result<Registration> {
         let Self { options, pair_options, control, .. } = self;
         let rows = describe(pair, control)?;
-        let num_matches = (TUNING.matches * options.max_matches as f64) as usize;
+        let num_matches = (MATCHES * options.max_matches as f64) as usize;
         let indices = match_rows(&rows[0], &rows[1], num_matches, control)?;
         let matches = pair.matches(&indices[..indices.len().min(options.max_matches)])?;
         let mut guesses = match &pair_options.initial {
             Some(guess) => vec![approach(pair, &guess.with_exact_rotation(), options.icp_steps, control)?],
-            None => consensus(&matches, pair.criteria(), steps::consensus::TUNING.candidates, control)?,
+            None => consensus(&matches, pair.criteria(), steps::consensus::CANDIDATES, control)?,
         };
         guesses.extend_from_slice(self.guesses);
         let candidates = refine(pair, &matches, &guesses, options.icp_steps, pair_options.hypotheses, control)?;
@@ -207,9 +202,9 @@ impl<'a, 'p> Search<'a, 'p> {
         };
         let (pair, control) = (self.pair, self.control);
         let voters = Voters::new(pair, indices, control)?;
-        let single = voters.transforms(TUNING.candidates).into_iter().map(RigidTransform::from);
+        let single = voters.transforms(CANDIDATES).into_iter().map(RigidTransform::from);
         let guesses: Vec<RigidTransform> = guesses.iter().copied().chain(single).collect();
-        let count = TUNING.refined.max(self.pair_options.hypotheses);
+        let count = REFINED.max(self.pair_options.hypotheses);
         let candidates = refine_supported(pair, matches, &voters, &guesses, self.options.icp_steps, count, control)?;
         let mut registration = judge(pair, matches, &candidates)?;
         challenge(pair, matches, &mut registration)?;
@@ -224,7 +219,7 @@ impl<'a, 'p> Search<'a, 'p> {
         let [source, target] = self.pair.fine()?;
         if source.is_finer && target.is_finer {
             let verdict = &mut registration.verdict;
-            verdict.confidence = verdict.confidence.min(judge::TUNING.max_doubtful);
+            verdict.confidence = verdict.confidence.min(judge::MAX_DOUBTFUL);
             verdict.is_reliable = false;
             verdict.notes.push("not confirmed on finer voxels".into());
         }
@@ -253,8 +248,8 @@ impl<'a, 'p> Search<'a, 'p> {
         let is_best = tried.best.as_ref().is_some_and(|best| best.t_target_source == single.t_target_source);
         let points = self.pair.surfaces()[0].points;
         let moved = displacement(found.t_target_source.isometry(), single.t_target_source.isometry(), points);
-        let is_same = moved < TUNING.confirmed * single.fit.inlier_distance;
-        (is_best && is_same && found.verdict.repeat_fit <= judge::TUNING.repeated).then_some(single)
+        let is_same = moved < CONFIRMED * single.fit.inlier_distance;
+        (is_best && is_same && found.verdict.repeat_fit <= judge::REPEATED).then_some(single)
     }
 }
 

@@ -4,13 +4,11 @@ use nalgebra::{IsometryMatrix3, Rotation3};
 
 use crate::cloud::surface;
 use crate::rigid::moved;
-use crate::tuning::tuning;
 use snake_geometry::{RigidTransform, Vector};
 
-tuning! {
-    /// The axis that points up in both clouds may differ by this angle: no sensor is quite level.
-    max_tilt: f64 = 5.0, unit "degrees", from "set by hand: KITTI sweeps of one drive differ by up to 1.5";
-}
+/// The axis that points up in both clouds may differ by this angle: no sensor is quite level. Unit: degrees. Set by
+/// hand: KITTI sweeps of one drive differ by up to 1.5.
+pub(crate) const MAX_TILT: f64 = 5.0;
 
 /// A match: a keypoint and unit normal of the source, with those of its partner in the target.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,7 +38,7 @@ pub struct Criteria {
 impl Criteria {
     /// Whether a rotation leaves the axis that is known about where it is.
     pub(crate) fn is_level(&self, rotation: &Rotation3<f64>) -> bool {
-        let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= TUNING.max_tilt.to_radians().cos();
+        let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= MAX_TILT.to_radians().cos();
         self.gravity.is_none_or(is_near)
     }
 }
@@ -58,7 +56,7 @@ impl Match {
             return None;
         }
         let cosine = (transform.rotation * self.source_normal).dot(&self.target_normal);
-        ((if criteria.signed { cosine } else { cosine.abs() }) > surface::TUNING.agreeing_cosine).then_some(squared)
+        ((if criteria.signed { cosine } else { cosine.abs() }) > surface::AGREEING_COSINE).then_some(squared)
     }
 }
 

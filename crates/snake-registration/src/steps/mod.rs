@@ -8,8 +8,7 @@
 //! [`Pair`] of them is described by [`describe()`], matched by [`match_rows()`], and searched for
 //! transforms by [`consensus()`]. [`refine()`] makes candidates of transforms, best first, and
 //! [`judge()`] weighs the best against the others, and [`challenge()`] against turns and shifts that
-//! the search need not have met. The constants of a step are one table, such as
-//! [`consensus::TUNING`].
+//! the search need not have met.
 
 pub mod consensus;
 pub mod describe;
@@ -21,7 +20,6 @@ mod pair;
 pub mod prepare;
 pub mod refine;
 pub(crate) mod single_matches;
-pub(crate) mod votes;
 
 pub use consensus::consensus;
 pub use describe::{Rows, describe};

@@ -33,9 +33,4 @@ impl Oriented {
         let rotation = frame(other) * about * frame(self).inverse();
         IsometryMatrix3::from_parts(Translation3::from(other.point - rotation * self.point), rotation)
     }
-
-    /// The same point with the opposite normal.
-    pub(super) fn flipped(&self) -> Self {
-        Self { normal: -self.normal, ..*self }
-    }
 }

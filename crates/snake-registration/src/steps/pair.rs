@@ -15,8 +15,6 @@ use snake_geometry::{RigidTransform, vector};
 pub struct Pair<'a> {
     clouds: [&'a PreparedCloud; 2],
     criteria: Criteria,
-    /// Whether the target shows what is free space, even where normals have no signs.
-    target_shows_space: bool,
     surfaces: OnceLock<[Surface<'a>; 2]>,
 }
 
@@ -28,21 +26,14 @@ impl<'a> Pair<'a> {
         let signed = source.viewpoint.is_some() && target.viewpoint.is_some();
         let inlier_distance = target.lengths.inlier_distance;
         let criteria = Criteria { inlier_distance, signed, gravity: gravity.map(Axis::unit) };
-        Self { clouds: [source, target], criteria, target_shows_space: signed, surfaces: OnceLock::new() }
+        Self { clouds: [source, target], criteria, surfaces: OnceLock::new() }
     }
 
     /// The same pair, whose normals have no signs.
     #[must_use]
     pub fn without_signs(&self) -> Self {
         let criteria = Criteria { signed: false, ..self.criteria };
-        Self { clouds: self.clouds, criteria, target_shows_space: false, surfaces: OnceLock::new() }
-    }
-
-    /// The same pair, whose target shows what is free space if its own sensor is known: the source
-    /// may be a model, which no sensor saw.
-    #[must_use]
-    pub(crate) fn with_target_space(&self) -> Self {
-        Self { target_shows_space: true, surfaces: OnceLock::new(), ..*self }
+        Self { clouds: self.clouds, criteria, surfaces: OnceLock::new() }
     }
 
     /// Source and target.
@@ -88,7 +79,7 @@ impl<'a> Pair<'a> {
     pub fn contradicts_viewpoints(&self, t_target_source: &RigidTransform) -> bool {
         let [source, target] = self.surfaces();
         self.viewpoints_used().contains(&ViewpointUsed::Origin)
-            && Surface::opposed(source, target, t_target_source.isometry()) > surface::TUNING.max_opposed
+            && Surface::opposed(source, target, t_target_source.isometry()) > surface::MAX_OPPOSED
     }
 
     /// Whether the signs of normals and the free space are doubtful: voxels are too coarse for what
@@ -107,10 +98,6 @@ impl<'a> Pair<'a> {
     }
 
     pub(crate) fn surfaces_within(&self, distance: f64) -> [Surface<'a>; 2] {
-        if self.target_shows_space && !self.is_signed() {
-            let [source, target] = self.clouds;
-            return [source.surface(false, distance), target.surface(true, distance).without_signs()];
-        }
         self.clouds.map(|cloud| cloud.surface(self.is_signed(), distance))
     }
 

@@ -59,8 +59,6 @@ impl Field {
     /// [`Error::DeadlineExceeded`](crate::Error::DeadlineExceeded).
     pub fn mesh_with(&self, options: &MeshOptions, control: &Control) -> Result<Mesh> {
         options.check()?;
-        let factors = [options.resolution, options.resolution, options.resolution, self.num_rotations()];
-        control.get_limits().check_evaluations(&factors)?;
         let grid = Grid::new(self, options.resolution);
         let near_points = self.points().iter().map(|&point| grid.sample_below(self.normalization().to_network(point)));
         grid.mesh(options, near_points, control)

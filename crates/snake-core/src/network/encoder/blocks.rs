@@ -6,7 +6,7 @@ use super::EncoderMemory;
 use super::pointnet::PointNet;
 use super::scatter_blocks as scatter;
 use super::unet_blocks::BlockUnet;
-use crate::control::{Counter, Limits, span};
+use crate::control::Counter;
 use crate::lattice::{Cells, FinestLevel, Lattice, Level, MAX_NODE, VoxelGroups, levels};
 use crate::network::check;
 use crate::network::config::ModelConfig;
@@ -34,14 +34,8 @@ impl BlockEncoder {
     }
 
     /// Encodes points, given in voxels.
-    pub(crate) fn encode(
-        &self,
-        points: &[Point],
-        memory: &mut EncoderMemory,
-        limits: &Limits,
-        counter: &Counter,
-    ) -> Result<Volume> {
-        self.encode_also(points, &[], memory, limits, counter)
+    pub(crate) fn encode(&self, points: &[Point], memory: &mut EncoderMemory, counter: &Counter) -> Result<Volume> {
+        self.encode_also(points, &[], memory, counter)
     }
 
     /// [`BlockEncoder::encode`] with blocks also about more cells, which hold no points.
@@ -50,20 +44,17 @@ impl BlockEncoder {
         points: &[Point],
         more: &[[i32; 3]],
         memory: &mut EncoderMemory,
-        limits: &Limits,
         counter: &Counter,
     ) -> Result<Volume> {
         let cells = self.cells(points, &mut memory.groups)?;
         let channels = self.points.channels();
         let finest = finest_level(cells.iter().chain(more).copied(), channels)?;
-        limits.check_volume_bytes(check::scene_bytes(finest.len(), channels))?;
         counter.check()?;
         let levels = levels(self.unet.num_levels(), finest);
         counter.check()?;
         let num_grouped = memory.groups.num_points(0..cells.len());
         counter.set_total(self.points.work(num_grouped) + self.unet.work(&levels));
         let offset = |index: usize| points[index].map(|v| v - v.floor() - 0.5);
-        span!("pointnet");
         let width = scatter::slots_width(channels);
         let num_sums = cells.len() * width;
         let num_nodes = (levels[0].filled.len() + 1) * BLOCK_VOXELS * channels;
@@ -75,7 +66,6 @@ impl BlockEncoder {
         self.points.add_to_voxels(&memory.groups, offset, scatter::spread, sums, counter)?;
         counter.check()?;
         self.write_nodes(&levels[0], &cells, sums, nodes);
-        span!("unet");
         let values = self.unet.forward(&levels, unet_memory, counter)?;
         let grid = levels.into_iter().next().map(|level| level.near).unwrap_or_default();
         let cells = Cells::from_groups(points, &memory.groups, &cells);

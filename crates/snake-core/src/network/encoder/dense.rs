@@ -9,7 +9,6 @@ use super::unet_dense::UNet3d;
 use super::voxel_sums::{add, divide_by_counts};
 use crate::Result;
 use crate::control::Counter;
-use crate::control::span;
 use crate::lattice::{Lattice, VolumeFrame, VoxelGroups};
 use crate::network::config::{ModelConfig, Scatter};
 use crate::network::layers::Tensor;
@@ -52,7 +51,6 @@ impl DenseEncoder {
         counter: &Counter,
     ) -> Result<Volume> {
         let volume = self.point_volume(num_points, point, memory, counter)?;
-        span!("unet");
         let lattice = Lattice::Cube(self.frame);
         Ok(Volume { lattice, channels: volume.channels, values: self.unet.forward(volume, counter)? })
     }
@@ -65,7 +63,6 @@ impl DenseEncoder {
         memory: &mut EncoderMemory,
         counter: &Counter,
     ) -> Result<Tensor> {
-        span!("pointnet");
         memory.groups.fill(num_points, &point, &self.frame);
         counter.add(num_points);
         counter.check()?;

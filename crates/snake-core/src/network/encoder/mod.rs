@@ -17,7 +17,7 @@ pub(crate) use self::dense::aggregated;
 use self::blocks::BlockEncoder;
 use self::dense::DenseEncoder;
 use crate::Result;
-use crate::control::{Counter, Limits};
+use crate::control::Counter;
 use crate::lattice::{VolumeShape, VoxelGroups};
 use crate::network::config::ModelConfig;
 use crate::network::volume::Volume;
@@ -57,20 +57,19 @@ impl Encoder {
         }
     }
 
-    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume. Its memory is within the limits.
+    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
     pub(crate) fn encode(
         &self,
         num_points: usize,
         point: impl Fn(usize) -> Point + Sync,
         memory: &mut EncoderMemory,
-        limits: &Limits,
         counter: &Counter,
     ) -> Result<Volume> {
         match self {
             Self::Dense(encoder) => encoder.encode(num_points, point, memory, counter),
             Self::Blocks(encoder) => {
                 let points: Vec<Point> = (0..num_points).map(point).collect();
-                encoder.encode(&points, memory, limits, counter)
+                encoder.encode(&points, memory, counter)
             }
         }
     }

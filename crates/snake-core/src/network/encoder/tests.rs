@@ -4,7 +4,7 @@ use std::path::Path;
 use safetensors::SafeTensors;
 
 use super::{Encoder, EncoderMemory};
-use crate::control::{Control, Counter, Limits};
+use crate::control::{Control, Counter};
 use crate::lattice::Lattice;
 use crate::network::volume::Volume;
 use crate::{Builtin, DetectOptions, EncodeOptions, Field, Keypoint, Length, Model};
@@ -164,9 +164,7 @@ fn blocks_equal_the_whole_box() {
     let Encoder::Blocks(encoder) = &model.network().encoder else { panic!("a scene") };
     let points: Vec<Point> = room().into_iter().map(|p| p.map(|v| v * 8.0 - 3.7)).collect();
     let volume = |more: &[[i32; 3]]| {
-        encoder
-            .encode_also(&points, more, &mut EncoderMemory::default(), &Limits::default(), &Counter::default())
-            .unwrap()
+        encoder.encode_also(&points, more, &mut EncoderMemory::default(), &Counter::default()).unwrap()
     };
     let all: Vec<[i32; 3]> = (0..60 * 60 * 60).map(|i| [i % 60 - 14, i / 60 % 60 - 14, i / 3600 - 14]).collect();
     let [sparse, dense] = [volume(&[]), volume(&all)];

@@ -4,9 +4,15 @@ use std::cmp::Reverse;
 
 use rayon::prelude::*;
 
-use super::TUNING;
 use crate::steps::matches::{self, Criteria, Match};
 use snake_core::{Counter, Result};
+
+/// Two matches are incompatible if a cosine between normals and their connecting line differs by this between the
+/// clouds. Half and twice change no outcome.
+const COSINE_TOLERANCE: f32 = 0.3;
+/// Two matches whose points are closer are incompatible: they agree on any transform. Unit: inlier distances. Set by
+/// hand.
+const MIN_EDGE: f32 = 2.0;
 
 /// The adjacency of the graph, a row of bits for each match.
 pub(super) struct Graph {
@@ -89,12 +95,12 @@ fn compatible(Match32(a): &Match32, Match32(b): &Match32, criteria: &Criteria) -
     let tolerance = criteria.inlier_distance as f32;
     let edges = [subtract(&b[0], &a[0]), subtract(&b[2], &a[2])];
     let [in_source, in_target] = edges.map(|edge| dot(&edge, &edge).sqrt());
-    if (in_source - in_target).abs() >= tolerance || in_source.min(in_target) < TUNING.min_edge * tolerance {
+    if (in_source - in_target).abs() >= tolerance || in_source.min(in_target) < MIN_EDGE * tolerance {
         return false;
     }
     if let Some(axis) = criteria.gravity {
         let axis = axis.map(|v| v as f32).into();
-        let tilted = matches::TUNING.max_tilt.to_radians().sin() as f32 * in_source;
+        let tilted = matches::MAX_TILT.to_radians().sin() as f32 * in_source;
         if (dot(&edges[0], &axis) - dot(&edges[1], &axis)).abs() >= tolerance + tilted {
             return false;
         }
@@ -105,5 +111,5 @@ fn compatible(Match32(a): &Match32, Match32(b): &Match32, criteria: &Criteria) -
     };
     let source_cosines = cosines(&a[1], &b[1], &edges[0], in_source);
     let target_cosines = cosines(&a[3], &b[3], &edges[1], in_target);
-    source_cosines.iter().zip(target_cosines).all(|(s, t)| (s - t).abs() < TUNING.cosine_tolerance)
+    source_cosines.iter().zip(target_cosines).all(|(s, t)| (s - t).abs() < COSINE_TOLERANCE)
 }

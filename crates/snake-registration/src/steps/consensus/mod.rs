@@ -14,31 +14,24 @@ use rayon::prelude::*;
 use crate::rigid::{best_fit, best_fit_about, displacement};
 use crate::steps::matches::{Criteria, Match};
 use crate::steps::refine;
-use crate::tuning::tuning;
 use graph::Graph;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, Vector};
 
-tuning! {
-    /// Number of transforms that `register` compares on the clouds, at most.
-    candidates: usize = 20, unit "transforms", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of matches that are compared, at most: the graph has a bit for every pair of them.
-    max_matches: usize = 20_000, unit "matches", from "the range of the option `max_matches`: 50 MB";
-    /// Number of matches from which transforms are estimated: those with the most support in the
-    /// graph.
-    max_seeds: usize = 200, unit "matches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of neighbours in the graph to which a seed's first transform is fitted.
-    group: usize = 20, unit "matches", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of least-squares fits to the inliers, at most.
-    max_refits: usize = 5, unit "fits", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of points that tell whether two transforms differ.
-    probes: usize = 50, unit "points", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Two matches are incompatible if a cosine between normals and their connecting line differs
-    /// by this between the clouds.
-    cosine_tolerance: f32 = 0.3, unit "cosine", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Two matches whose points are closer are incompatible: they agree on any transform.
-    min_edge: f32 = 2.0, unit "inlier distances", from "set by hand in 3738705";
-}
+/// Number of transforms that `register` compares on the clouds, at most. Half and twice change no outcome.
+pub(crate) const CANDIDATES: usize = 20;
+/// Number of matches that are compared, at most: the graph has a bit for every pair of them. The range of the option
+/// `max_matches`: 50 MB.
+const MAX_MATCHES: usize = 20_000;
+/// Number of matches from which transforms are estimated: those with the most support in the graph. Half and twice
+/// change no outcome.
+const MAX_SEEDS: usize = 200;
+/// Number of neighbours in the graph to which a seed's first transform is fitted. Half and twice change no outcome.
+const GROUP: usize = 20;
+/// Number of least-squares fits to the inliers, at most. Half and twice change no outcome.
+const MAX_REFITS: usize = 5;
+/// Number of points that tell whether two transforms differ. Half and twice change no outcome.
+pub(crate) const PROBES: usize = 50;
 
 /// A transform with the support of the matches.
 #[derive(Debug, Clone, Copy)]
@@ -63,10 +56,10 @@ pub fn consensus(
     check_matches(matches)?;
     let counter = control.begin("consistency", matches.len());
     let graph = Graph::new(matches, criteria, &counter)?;
-    let seeds = graph.seeds(TUNING.max_seeds);
+    let seeds = graph.seeds(MAX_SEEDS);
     let supported = seeds.par_iter().map(|&seed| {
         counter.check()?;
-        Ok(fit_group(&graph.group(seed, TUNING.group), matches, criteria))
+        Ok(fit_group(&graph.group(seed, GROUP), matches, criteria))
     });
     let mut supported: Vec<Supported> = supported.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
     // The order of the seeds decides between equals.
@@ -78,8 +71,8 @@ pub fn consensus(
 /// Refuses matches of which there are too many, or of which one is not finite.
 fn check_matches(matches: &[Match]) -> Result<()> {
     let refused = |reason| Err(Error::Input { what: "matches", reason });
-    if matches.len() > TUNING.max_matches {
-        return refused(format!("{} of them; at most {} can be compared", matches.len(), TUNING.max_matches));
+    if matches.len() > MAX_MATCHES {
+        return refused(format!("{} of them; at most {} can be compared", matches.len(), MAX_MATCHES));
     }
     let is_finite = |matched: &Match| {
         let vectors = [matched.source, matched.target, matched.source_normal, matched.target_normal];
@@ -101,7 +94,7 @@ fn fit_group(group: &[usize], matches: &[Match], criteria: &Criteria) -> Option<
     };
     let pairs: Vec<_> = group.iter().map(|&i| (matches[i].source, matches[i].target)).collect();
     let (mut best, mut inliers) = Supported::new(fit(&pairs)?, matches, criteria);
-    for _ in 0..TUNING.max_refits {
+    for _ in 0..MAX_REFITS {
         let Some(transform) = fit(&inliers) else { break };
         let (refitted, refitted_inliers) = Supported::new(transform, matches, criteria);
         if refitted.support <= best.support {
@@ -133,17 +126,13 @@ fn distinct(
     inlier_distance: f64,
     count: usize,
 ) -> Vec<IsometryMatrix3<f64>> {
-    let probes: Vec<Vector> =
-        matches.iter().step_by(matches.len().div_ceil(TUNING.probes).max(1)).map(|m| m.source).collect();
+    let probes: Vec<Vector> = matches.iter().step_by(matches.len().div_ceil(PROBES).max(1)).map(|m| m.source).collect();
     let mut kept: Vec<IsometryMatrix3<f64>> = Vec::new();
     for Supported { transform, .. } in supported {
         if kept.len() == count {
             break;
         }
-        if kept
-            .iter()
-            .all(|other| displacement(transform, other, &probes) > refine::TUNING.min_difference * inlier_distance)
-        {
+        if kept.iter().all(|other| displacement(transform, other, &probes) > refine::MIN_DIFFERENCE * inlier_distance) {
             kept.push(*transform);
         }
     }

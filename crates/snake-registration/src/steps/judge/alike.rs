@@ -1,9 +1,9 @@
 //! Motions under which a cloud looks like itself: a step of spiral stairs, the pitch of a row, a storey,
 //! a half turn of a room.
 
+use super::constants::{ELSEWHERE, FEW_PLACES, MAX_SLIDE_TURN, REPEAT_PARALLEL};
 use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
 
-use super::tuning::TUNING;
 use crate::steps::consensus::consensus;
 use crate::steps::describe::{Rows, describe_cloud};
 use crate::steps::matches::inliers;
@@ -11,6 +11,9 @@ use crate::steps::pair::Pair;
 use crate::steps::prepare::{PreparedCloud, SelfMotion};
 use snake_core::{Control, Result};
 use snake_geometry::{Vector, vector};
+
+/// Number of motions under which a cloud looks like itself, at most. Set for time.
+const SELF_MOTIONS: usize = 10;
 
 /// Number of places that are compared with all others at once: a map has many.
 const CHUNK: usize = 64;
@@ -25,7 +28,7 @@ pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[Self
         let pair = if signed { pair } else { pair.without_signs() };
         let indices = matches_elsewhere(cloud, &describe_cloud(cloud, signed, &control)?);
         let matches = pair.matches(&indices)?;
-        let motions = consensus(&matches, pair.criteria(), TUNING.self_motions, &control)?;
+        let motions = consensus(&matches, pair.criteria(), SELF_MOTIONS, &control)?;
         let support = |motion| inliers(&matches, motion, pair.criteria()).0 as f64 / matches.len().max(1) as f64;
         slot.get_or_init(|| motions.iter().map(|motion| (*motion.isometry(), support(motion.isometry()))).collect());
     }
@@ -35,13 +38,13 @@ pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[Self
 /// The support of all motions that turn about the axis of one, or slide along its direction. A ring of equal
 /// columns looks like itself after so many turns that few matches agree with each.
 pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f64>) -> f64 {
-    let turns = |motion: &IsometryMatrix3<f64>| motion.rotation.angle() > TUNING.max_slide_turn.to_radians();
+    let turns = |motion: &IsometryMatrix3<f64>| motion.rotation.angle() > MAX_SLIDE_TURN.to_radians();
     let direction = |motion: &IsometryMatrix3<f64>| match motion.rotation.axis() {
         Some(axis) if turns(motion) => axis.into_inner(),
         _ => motion.translation.vector.normalize(),
     };
     let is_like = |(other, _): &&SelfMotion| {
-        turns(other) == turns(motion) && direction(other).dot(&direction(motion)).abs() > TUNING.repeat_parallel
+        turns(other) == turns(motion) && direction(other).dot(&direction(motion)).abs() > REPEAT_PARALLEL
     };
     motions.iter().filter(is_like).map(|(_, support)| support).sum()
 }
@@ -49,12 +52,12 @@ pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f6
 /// Some of the keypoints, each with the keypoint of the nearest descriptor that is not near it.
 fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let points: Vec<Vector> = cloud.keypoints().into_iter().map(vector).collect();
-    let squared_distance = (TUNING.elsewhere * cloud.lengths.inlier_distance).powi(2);
+    let squared_distance = (ELSEWHERE * cloud.lengths.inlier_distance).powi(2);
     let all = DMatrixView::from_slice(rows.values(), rows.dimension(), rows.len());
     let transposed = all.transpose();
     // The row b nearest to a has the greatest a·b - |b|²/2.
     let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
-    let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(TUNING.few_places).max(1)).collect();
+    let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(FEW_PLACES).max(1)).collect();
     let nearest = |from: usize, products: DVectorView<f32>| {
         let mut best = (f32::NEG_INFINITY, None);
         for (to, (product, half_norm)) in products.iter().zip(&half_norms).enumerate() {

@@ -2,10 +2,19 @@
 
 use nalgebra::{Matrix6xX, Vector6};
 
-use super::tuning::TUNING;
 use crate::cloud::patches::Overlap;
 use crate::cloud::planes::{NormalEquations, PlanePair};
 use snake_geometry::Vector;
+
+/// A patch constrains a motion whose cosine to its normal is above this: about 75 degrees. Normals of planar patches
+/// are better than that, those of slopes that a voxel does not show are not. Half and twice change no outcome.
+const MIN_MOTION_COSINE: f64 = 0.25;
+/// A direction of motion is open if patches resist at most this share of their squared motion. Unit: share of the
+/// squared motion. Half and twice change no outcome; rooms and streets have 0.03 to 0.2.
+const OPEN_DIRECTION: f64 = 5e-5;
+/// Where few points lie on patches, the overlap fixes all motions if slides fit worse by this. Slides fit worse by up
+/// to 0.04 in corridors and tunnels whose patches noise hides.
+const FIXED_MARGIN: f64 = 0.07;
 
 /// The motions of the source that planar patches of the overlap resist.
 pub(super) struct Constraint {
@@ -22,7 +31,7 @@ impl Constraint {
     /// rough or thinly sampled surfaces, slides that fit worse show that the rest fixes what the
     /// patches leave open.
     pub(super) fn from_overlap(overlap: &Overlap, slide_margin: f64) -> Self {
-        if overlap.is_planar() || slide_margin < TUNING.fixed_margin {
+        if overlap.is_planar() || slide_margin < FIXED_MARGIN {
             Self::from_patches(&overlap.patches)
         } else {
             Self { open: Matrix6xX::zeros(0), weakest: slide_margin }
@@ -38,7 +47,7 @@ impl Constraint {
         let eigen = equations.information.symmetric_eigen();
         let shares: Vec<f64> = eigen.eigenvectors.column_iter().map(|d| equations.share(patches, &d.into())).collect();
         let open: Vec<_> =
-            (0..6).filter(|&i| shares[i] <= TUNING.open_direction).map(|i| eigen.eigenvectors.column(i)).collect();
+            (0..6).filter(|&i| shares[i] <= OPEN_DIRECTION).map(|i| eigen.eigenvectors.column(i)).collect();
         Self {
             open: Matrix6xX::from_fn(open.len(), |row, column| open[column][row]),
             weakest: shares.into_iter().fold(f64::INFINITY, f64::min),
@@ -55,7 +64,7 @@ impl NormalEquations {
             let motion: Vector = turn.cross(&((point - self.center) / self.extent)) + slide;
             let (along, squared) = (motion.dot(normal).powi(2), motion.norm_squared());
             all += squared;
-            if along > TUNING.min_motion_cosine.powi(2) * squared {
+            if along > MIN_MOTION_COSINE.powi(2) * squared {
                 resisted += along;
             }
         }

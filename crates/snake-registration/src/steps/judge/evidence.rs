@@ -1,8 +1,40 @@
 //! Evidence about a transform, and the confidence that follows from it.
 
-use super::tuning::TUNING;
+use super::constants::{MAX_DOUBTFUL, MIN_AGREEING, RELIABLE, REPEATED, REPEATED_FITNESS};
 use crate::cloud::surface::Agreement;
 use crate::result::{Fit, Matches};
+
+/// Another transform is a rival if its fit of the surfaces is above this share of the best fit. Set by hand.
+const RIVAL_FIT: f64 = 0.9;
+/// A rival has this share of the matches that agree with the best, each count raised by one. Half and twice change no
+/// outcome.
+const RIVAL_AGREEING: f64 = 0.4;
+/// A weaker constraint is doubtful, however many matches agree. Unit: share of the squared motion. Half and twice
+/// change no outcome.
+const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
+/// Matches with a smaller spread lie on one plane or line and do not fix a transform, however many agree. Unit: inlier
+/// distances. Half and twice change no outcome.
+const MIN_MATCH_SPREAD: f64 = 0.25;
+/// Share of the patches that coincide under a right transform. Right transforms of sweeps have 0.85 and more, wrong
+/// ones 0.75 and less.
+const MIN_COINCIDING: f64 = 0.8;
+/// Bias of the logistic regression. Unit: log-odds. 3.2 below that of the fit, so that 0.5 is a probability of about
+/// 0.95.
+const BIAS: f64 = -8.5;
+/// Weight of the logarithm of one more than the matches that agree, and the limit up to which it counts, so that no
+/// evidence outvotes the others. So it is with the rows that follow. Unit: log-odds; logarithm. Fitted on 785 pairs.
+const LOG_AGREEING: [f64; 2] = [1.88, 5.3];
+/// Of the logarithm of their ratio to those of the best rival. Unit: log-odds; logarithm. Fitted on 785 pairs.
+const LOG_RATIO: [f64; 2] = [0.43, 1.5];
+/// Of the slide margin. Unit: log-odds per overlap; overlap. Fitted on 785 pairs.
+const SLIDE_MARGIN: [f64; 2] = [22.5, 0.1];
+/// Of the spread of the matches that agree. Unit: log-odds per inlier distance; inlier distances. Fitted on 785 pairs.
+const MATCH_SPREAD: [f64; 2] = [3.0, 1.0];
+/// Of the violated free space. Unit: log-odds per share of the voxels; share. Fitted on 785 pairs.
+const VIOLATION: [f64; 2] = [-302.0, 1.0];
+/// Of the lead over the next transform, where single matches were compared. Unit: log-odds per overlap; overlap. Set by
+/// hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones.
+const LEAD: [f64; 2] = [10.0, 0.25];
 
 /// What is known of the best transform beside [`Fit`] and [`Matches`].
 #[derive(Debug, Clone, PartialEq)]
@@ -49,8 +81,8 @@ impl Term {
 /// Whether a transform fits about as well as the best; each comes with the number of matches that
 /// agree.
 pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
-    let matched = (1 + other.1) as f64 >= TUNING.rival_agreeing * (1 + best.1) as f64;
-    matched && other.0.fit() > TUNING.rival_fit * best.0.fit()
+    let matched = (1 + other.1) as f64 >= RIVAL_AGREEING * (1 + best.1) as f64;
+    matched && other.0.fit() > RIVAL_FIT * best.0.fit()
 }
 
 impl Evidence<'_> {
@@ -60,19 +92,19 @@ impl Evidence<'_> {
     }
 
     fn is_repeated(&self) -> bool {
-        self.repeat_fit > TUNING.repeated && self.fit.fitness > TUNING.repeated_fitness
+        self.repeat_fit > REPEATED && self.fit.fitness > REPEATED_FITNESS
     }
 
     fn has_few_matches(&self) -> bool {
-        self.matches.num_agreeing < TUNING.min_agreeing
+        self.matches.num_agreeing < MIN_AGREEING
     }
 
     fn lies_apart(&self) -> bool {
-        self.coinciding.is_some_and(|share| share < TUNING.min_coinciding)
+        self.coinciding.is_some_and(|share| share < MIN_COINCIDING)
     }
 
     fn has_flat_matches(&self) -> bool {
-        self.match_spread() < TUNING.min_match_spread
+        self.match_spread() < MIN_MATCH_SPREAD
     }
 
     /// The spread of the matches that agree, in inlier distances.
@@ -91,27 +123,18 @@ impl Evidence<'_> {
             words,
         };
         let (violation, spread) = (self.violation, self.match_spread());
-        let lead =
-            self.lead.map(|lead| term(TUNING.lead, lead, format!("the next transform is worse by only {lead:.3}")));
+        let lead = self.lead.map(|lead| term(LEAD, lead, format!("the next transform is worse by only {lead:.3}")));
         let terms = [
-            term(TUNING.log_agreeing, agreeing, format!("only {num_agreeing} matches agree")),
+            term(LOG_AGREEING, agreeing, format!("only {num_agreeing} matches agree")),
+            term(LOG_RATIO, agreeing - rival, format!("{num_rival_agreeing} matches agree with another transform")),
             term(
-                TUNING.log_ratio,
-                agreeing - rival,
-                format!("{num_rival_agreeing} matches agree with another transform"),
-            ),
-            term(
-                TUNING.slide_margin,
+                SLIDE_MARGIN,
                 self.slide_margin,
                 format!("the overlap falls by only {:.3} along the direction that is fixed least", self.slide_margin),
             ),
+            term(MATCH_SPREAD, spread, format!("the matches that agree spread by only {spread:.2} inlier distances")),
             term(
-                TUNING.match_spread,
-                spread,
-                format!("the matches that agree spread by only {spread:.2} inlier distances"),
-            ),
-            term(
-                TUNING.violation,
+                VIOLATION,
                 violation,
                 format!("{:.1} % of the voxels lie where the other sensor saw through", 100.0 * violation),
             ),
@@ -126,12 +149,12 @@ impl Evidence<'_> {
         if self.num_open > 0 {
             return 0.0;
         }
-        let sum = self.terms().fold(TUNING.bias, |sum, term| sum + term.value);
-        let unrivalled = (self.weakest_constraint / TUNING.doubtful_constraint).min(1.0) / (1.0 + (-sum).exp());
+        let sum = self.terms().fold(BIAS, |sum, term| sum + term.value);
+        let unrivalled = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival || self.is_repeated() {
-            (unrivalled / 2.0).min(TUNING.max_doubtful)
+            (unrivalled / 2.0).min(MAX_DOUBTFUL)
         } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() {
-            unrivalled.min(TUNING.max_doubtful)
+            unrivalled.min(MAX_DOUBTFUL)
         } else {
             unrivalled
         }
@@ -158,7 +181,7 @@ impl Evidence<'_> {
         if self.has_few_matches() {
             notes.push(format!(
                 "only {} matches agree; fewer than {} are never reliable",
-                self.matches.num_agreeing, TUNING.min_agreeing
+                self.matches.num_agreeing, MIN_AGREEING
             ));
         }
         if self.has_flat_matches() && !self.has_few_matches() {
@@ -167,7 +190,7 @@ impl Evidence<'_> {
         if self.lies_apart() {
             notes.push("the surfaces lie apart: the points are finer than the distance between them".into());
         }
-        if notes.is_empty() && self.confidence() < TUNING.reliable {
+        if notes.is_empty() && self.confidence() < RELIABLE {
             let worst = self.terms().max_by(|a, b| a.missing().total_cmp(&b.missing()));
             notes.extend(worst.map(|term| format!("not reliable, above all because {}", term.words)));
         }

@@ -1,6 +1,7 @@
 //! Step 6: whether the best transform can be relied on.
 
 mod alike;
+mod constants;
 mod constraint;
 mod evidence;
 mod open_motions;
@@ -11,9 +12,10 @@ mod shifts;
 mod slide;
 mod standing;
 mod together;
-mod tuning;
 mod turns;
 
+pub(crate) use constants::{MAX_DOUBTFUL, RELIABLE, REPEATED};
+use constants::{REPEATED_FITNESS, TRIES};
 use nalgebra::{IsometryMatrix3, Matrix6};
 
 use crate::cloud::patches::{self, overlap};
@@ -34,7 +36,17 @@ use snake_core::{Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
 use standing::{contradicted_at_one_place, standing_note};
 use together::{Together, moved_together};
-pub use tuning::{TUNING, Tuning};
+
+/// Sensors at one place see the same: a greater share of what one sees and the other does not is doubtful. Unit: share
+/// of the places in view. 0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and
+/// after half of it moved.
+const MAX_STANDING: f64 = 0.2;
+/// With a smaller lead the next transform is a rival, where single matches were compared. Unit: share of the score. Set
+/// by hand on the same pairs.
+const MIN_LEAD: f64 = 0.3;
+/// Clouds whose diameters differ by more than this factor are probably in different units. Unit: ratio of diameters.
+/// Set by hand.
+const UNIT_RATIO: f64 = 30.0;
 
 /// Number of rivals that notes name: a ring of columns has many.
 const MAX_NOTES: usize = 3;
@@ -73,7 +85,6 @@ pub(crate) fn judge_counted(
         matches: counts,
         clouds: [report(0), report(1)],
         hypotheses: candidates.iter().map(Candidate::hypothesis).collect(),
-        instances: Vec::new(),
         scale: 1.0,
         seconds: 0.0,
     })
@@ -95,14 +106,14 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     }
     let transform = registration.t_target_source.isometry();
     let standing = contradicted_at_one_place(pair, transform)?;
-    let contradicted = standing.filter(|share| *share > TUNING.max_standing);
+    let contradicted = standing.filter(|share| *share > MAX_STANDING);
     let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
     let mut equal = rivals(pair, transform, standing.is_some())?;
     equal.retain(Rival::is_equal);
     if equal.is_empty() && contradicted.is_none() && together.is_none() {
         return Ok(());
     }
-    verdict.confidence = (verdict.confidence / 2.0).min(TUNING.max_doubtful);
+    verdict.confidence = (verdict.confidence / 2.0).min(MAX_DOUBTFUL);
     verdict.is_reliable = false;
     verdict.notes.splice(0..0, contradicted.map(standing_note));
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
@@ -130,17 +141,17 @@ fn verdict(
     let transform = best.t_target_source.isometry();
     let surfaces = pair.surfaces();
     let fine = pair.fine()?;
-    let overlap = overlap(fine, transform, patches::TUNING.near * fit.inlier_distance);
+    let overlap = overlap(fine, transform, patches::NEAR * fit.inlier_distance);
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
-    let is_repeatable = fit.fitness > TUNING.repeated_fitness;
+    let is_repeatable = fit.fitness > REPEATED_FITNESS;
     let lead = best.lead(candidates.get(1));
     let has_rival = match lead {
-        Some(lead) => lead < TUNING.min_lead * best.score(),
+        Some(lead) => lead < MIN_LEAD * best.score(),
         None => {
             let winner = (&best.agreement, counts.num_agreeing);
-            let mut rivals = candidates[1..].iter().take(TUNING.tries);
+            let mut rivals = candidates[1..].iter().take(TRIES);
             rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
         }
     };
@@ -160,7 +171,7 @@ fn verdict(
     let confidence = evidence.confidence();
     Ok(Verdict {
         confidence,
-        is_reliable: confidence >= TUNING.reliable,
+        is_reliable: confidence >= RELIABLE,
         is_ambiguous: evidence.is_ambiguous(),
         notes: missing_notes(pair)
             .chain(evidence.notes())
@@ -210,7 +221,7 @@ impl Matches {
         let agreeing: Vec<&Match> =
             matches.iter().filter(|matched| matched.agrees(&best.t_target_source, pair.criteria())).collect();
         let targets: Vec<_> = agreeing.iter().map(|matched| matched.target).collect();
-        let rivals = candidates[1..].iter().take(TUNING.tries);
+        let rivals = candidates[1..].iter().take(TRIES);
         let counts = rivals.map(|rival| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0);
         let ends = |matched: &&Match| [matched.source, matched.target].map(|end| end.map(|v| v as f32).into());
         Self {
@@ -240,7 +251,7 @@ fn outlier_notes(pair: &Pair) -> impl Iterator<Item = String> {
 /// A question about the units, if the clouds' sizes differ much.
 pub(crate) fn units_note(diameters: [f64; 2]) -> Option<String> {
     let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
-    (ratio > TUNING.unit_ratio)
+    (ratio > UNIT_RATIO)
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
 }
 
@@ -271,7 +282,7 @@ fn no_transform(pair: &Pair, num_matches: usize) -> Result<Error> {
 
 /// A note on the first of the clouds that can move along its own surface.
 fn open_alone(pair: &Pair) -> Result<Option<String>> {
-    let distance = patches::TUNING.near * pair.criteria().inlier_distance;
+    let distance = patches::NEAR * pair.criteria().inlier_distance;
     for (fine, name) in pair.fine()?.into_iter().zip(["source", "target"]) {
         let overlap = overlap([fine, fine], &IsometryMatrix3::identity(), distance);
         let open = Constraint::from_patches(&overlap.patches).open;
@@ -287,7 +298,7 @@ fn open_alone(pair: &Pair) -> Result<Option<String>> {
 pub(crate) fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
-    verdict.is_reliable = verdict.confidence >= TUNING.reliable;
+    verdict.is_reliable = verdict.confidence >= RELIABLE;
     registration
 }
 

@@ -2,8 +2,10 @@
 
 use nalgebra::{Matrix3xX, Matrix6xX};
 
-use super::tuning::TUNING;
 use snake_geometry::Vector;
+
+/// A motion with a smaller rotation part is named a translation. Unit: length of the rotation part. Set by hand.
+const NO_ROTATION: f64 = 0.1;
 
 /// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation"; empty
 /// without any. The columns are orthonormal: a rotation about the overlap's middle, scaled to
@@ -18,7 +20,7 @@ pub(super) fn names(open: &Matrix6xX<f64>) -> String {
     for (combination, squared) in combinations.eigenvectors.column_iter().zip(combinations.eigenvalues.iter()) {
         let motion = open * combination;
         let (turn, slide): (Vector, Vector) = (motion.fixed_rows::<3>(0).into(), motion.fixed_rows::<3>(3).into());
-        if *squared < TUNING.no_rotation.powi(2) {
+        if *squared < NO_ROTATION.powi(2) {
             slides.push(slide.normalize());
         } else {
             turns.push(turn.normalize());

@@ -1,6 +1,7 @@
 //! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
 //! which one of the clouds looks like itself, after a shift under which details repeat, and after a reflection.
 
+use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES};
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
@@ -8,7 +9,6 @@ use super::alike::{self_motions, shared_support};
 use super::open_motions::axis_name;
 use super::repeats::axes;
 use super::shifts::{Shift, shifts};
-use super::tuning::TUNING;
 use super::turns::{after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
 use crate::cloud::patches::{self, FineCloud, Place, overlap};
@@ -19,6 +19,41 @@ use crate::steps::refine::icp::one_way_icp;
 use crate::steps::refine::patches::refine_on_patches;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
+
+/// Number of places whose details are compared. Set for time.
+const SHIFT_PLACES: usize = 1200;
+/// Number of ICP steps after a motion. Set for time.
+const RIVAL_STEPS: usize = 8;
+/// A cloud looks like itself after a motion on which this share of these matches agrees. Unit: share of the matches.
+/// Stairs have 0.10 to 0.31, stairwells 0.07 to 0.25, ramps 0.07 to 0.09; beside right answers real and made rooms 0.01
+/// to 0.06.
+const MIN_SELF_SUPPORT: f64 = 0.06;
+/// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
+/// distances. An object in a map has 7 to 11.
+const MIN_UNSIGNED_MOTION: f64 = 12.0;
+/// A rival contradicts at most this of the places that tell the two apart: usually; with sensors at one place, where
+/// one pattern of rays coincides point by point; and, of all places, after a shift there or one with which details fit
+/// better. Unit: shares of the places that the winner explains and that tell. Stairs, ramps and stairwells have up to
+/// 0.05, right answers in real rooms 0.09 and more; at one place traffic up to 0.25, rooms at rest 0.33 and more;
+/// pillars up to 0.38 of all places.
+const SELF_CONTRADICTED: [f64; 3] = [0.08, 0.28, 0.43];
+/// Every so many of them tell where exactly a shift fits. Unit: places. Set for time.
+const SHIFT_THINNING: usize = 6;
+/// Number of steps to either side in which a shift is made exact. Half and twice change no outcome.
+const SHIFT_STEPS: i32 = 6;
+/// A rival's surfaces fit by this: usually, and after a slide with sensors at one place. Unit: shares of the winner's
+/// fit. Stairs have 0.9, ramps 0.89, an aeroplane of 4096 points after a half turn 0.69 to 0.77; traffic that keeps
+/// pace 0.44 to 0.54.
+const RIVAL_FIT_SHARES: [f64; 2] = [0.75, 0.43];
+/// A shift is not made exact if fewer of the places lie on the target there, less those that contradict it. Unit: share
+/// of the places. Set for time.
+const MIN_SHIFT_SCORE: f64 = 0.3;
+/// A rival that contradicts more, and explains less, is not refined. Unit: share of the places that the winner
+/// explains. Set for time.
+const HOPELESS: f64 = 0.5;
+/// A mirror image fits better if it leads by this. Unit: share of the places that the winner explains. Mirrored boxes
+/// have 0.1 and more.
+const MIRROR_LEAD: f64 = 0.06;
 
 /// What leads from the winner to its rival.
 #[derive(Debug, Clone, Copy)]
@@ -85,9 +120,9 @@ impl Rival {
     /// more, whatever it contradicts. What the winner alone explains does not count beyond that: clouds of one pattern of
     /// rays coincide point by point wherever they are a period apart.
     pub(super) fn is_equal(&self) -> bool {
-        let [usual, at_one_place, shift] = TUNING.self_contradicted;
+        let [usual, at_one_place, shift] = SELF_CONTRADICTED;
         match self.motion {
-            Motion::Mirror => self.counts.lead() <= -TUNING.mirror_lead,
+            Motion::Mirror => self.counts.lead() <= -MIRROR_LEAD,
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
                 self.counts.contradicted() <= shift
             }
@@ -143,7 +178,7 @@ fn repeat_note(what: &str, by: &Vector) -> String {
 pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
-    let patches = overlap(fine, winner, patches::TUNING.near * distance).patches;
+    let patches = overlap(fine, winner, patches::NEAR * distance).patches;
     let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
     let frame = [first, second, third];
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
@@ -154,7 +189,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
         None => rotated(turns(&frame)).chain(mirrored(&frame)).collect(),
     };
     let by_turn = after_turns(surfaces, winner, tried.into_iter(), &frame);
-    let places = fine[0].places(winner, fine[1], distance, TUNING.shift_places);
+    let places = fine[0].places(winner, fine[1], distance, SHIFT_PLACES);
     let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
     let fitting = Fitting::new(pair, winner, is_standing);
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).collect();
@@ -195,15 +230,14 @@ impl<'a, 'b> Fitting<'a, 'b> {
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
         let least = match (self.is_standing, self.pair.is_signed()) {
-            (true, _) => TUNING.min_shift,
-            (false, true) => TUNING.elsewhere,
-            (false, false) => TUNING.min_unsigned_motion,
+            (true, _) => MIN_SHIFT,
+            (false, true) => ELSEWHERE,
+            (false, false) => MIN_UNSIGNED_MOTION,
         };
         let motions = |cloud: usize| {
             let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
             let is_supported = |motion: &IsometryMatrix3<f64>| {
-                self.is_slide_of_one_place(&motion.rotation)
-                    || shared_support(motions, motion) >= TUNING.min_self_support
+                self.is_slide_of_one_place(&motion.rotation) || shared_support(motions, motion) >= MIN_SELF_SUPPORT
             };
             let supported = motions.iter().map(|(motion, _)| *motion).filter(is_supported);
             Ok::<_, snake_core::Error>(supported.flat_map(|motion| [motion, motion.inverse()]).collect::<Vec<_>>())
@@ -222,17 +256,17 @@ impl<'a, 'b> Fitting<'a, 'b> {
 
     /// Whether the sensors are at one place and hardly turn between two answers.
     fn is_slide_of_one_place(&self, turn: &Rotation3<f64>) -> bool {
-        self.is_standing && turn.angle() < TUNING.max_slide_turn.to_radians()
+        self.is_standing && turn.angle() < MAX_SLIDE_TURN.to_radians()
     }
 
     /// The transform near a guess that fits best; `None` if it does not fit the surfaces.
     fn fitted(&self, motion: Motion, guess: IsometryMatrix3<f64>) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
         let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
         let step = coarse_step(surfaces[0].points.len());
-        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, TUNING.rival_steps, &Counter::default())?;
+        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, RIVAL_STEPS, &Counter::default())?;
         let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
         let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
-        let min_fit = TUNING.rival_fit_shares[usize::from(is_slide)];
+        let min_fit = RIVAL_FIT_SHARES[usize::from(is_slide)];
         Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
     }
 }
@@ -256,7 +290,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         scene.sample = std::array::from_fn(|from| {
             let transform = if from == 0 { winner } else { winner.inverse() };
             let with_vote = |place: Place| (place, scene.explains(&place.moved(&transform), 1 - from));
-            fine[from].thinned(distance, TUNING.places).into_iter().map(with_vote).collect()
+            fine[from].thinned(distance, PLACES).into_iter().map(with_vote).collect()
         });
         scene
     }
@@ -264,14 +298,14 @@ impl<'a, 'b> Scene<'a, 'b> {
     /// The rival near a transform that a turn, a reflection or a motion led to; `None` if it contradicts too much.
     fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
-        let is_hopeless = counts.contradicted() > TUNING.hopeless && counts.lead() > 0.0;
+        let is_hopeless = counts.contradicted() > HOPELESS && counts.lead() > 0.0;
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
     }
 
     /// The rival near a shift; `None` if it does not fit.
     fn shifted(&self, Shift { by: shift, is_better }: Shift) -> Result<Option<Rival>> {
         let distance = self.fitting.pair.criteria().inlier_distance;
-        let places: Vec<&Place> = self.places.iter().step_by(TUNING.shift_thinning).collect();
+        let places: Vec<&Place> = self.places.iter().step_by(SHIFT_THINNING).collect();
         let fit = |part: f64| {
             let lies = |place: &&Place| {
                 let place = Place { point: place.point + part * shift, ..**place };
@@ -279,18 +313,18 @@ impl<'a, 'b> Scene<'a, 'b> {
             };
             places.iter().map(lies).sum::<i32>()
         };
-        if !self.fitting.is_standing && f64::from(fit(1.0)) < TUNING.min_shift_score * places.len() as f64 {
+        if !self.fitting.is_standing && f64::from(fit(1.0)) < MIN_SHIFT_SCORE * places.len() as f64 {
             return Ok(None);
         }
-        let unit = 1.5 * TUNING.detail * distance / shift.norm() / f64::from(TUNING.shift_steps);
-        let parts = (-TUNING.shift_steps..=TUNING.shift_steps).map(|at| 1.0 + unit * f64::from(at));
+        let unit = 1.5 * DETAIL * distance / shift.norm() / f64::from(SHIFT_STEPS);
+        let parts = (-SHIFT_STEPS..=SHIFT_STEPS).map(|at| 1.0 + unit * f64::from(at));
         let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
         let best = tries.iter().map(|(fit, _)| *fit).max().unwrap_or_default();
         // Of equals the middle one.
         let equal: Vec<f64> = tries.iter().filter(|(fit, _)| *fit == best).map(|(_, part)| *part).collect();
         let shift = equal[equal.len() / 2] * shift;
         let rough = Translation3::from(shift) * self.fitting.winner;
-        if self.compare(&rough).contradicted() > TUNING.hopeless {
+        if self.compare(&rough).contradicted() > HOPELESS {
             return Ok(None);
         }
         let rival = self.rival(Motion::Shift(Shift { by: shift, is_better }), rough)?;
@@ -305,7 +339,7 @@ impl<'a, 'b> Scene<'a, 'b> {
         let refined = refine_on_patches(self.fine, rough, gravity, &Counter::default())?;
         let is_near = displacement(&refined, &rough, &self.fitting.coarse) < 0.5 * distance;
         let transform = if is_near { refined } else { rough };
-        if displacement(&transform, self.fitting.winner, &self.fitting.coarse) < TUNING.min_shift * distance {
+        if displacement(&transform, self.fitting.winner, &self.fitting.coarse) < MIN_SHIFT * distance {
             return Ok(None);
         }
         let turn = transform.rotation * self.fitting.winner.rotation.inverse();
@@ -345,8 +379,8 @@ impl<'a, 'b> Scene<'a, 'b> {
     fn tells(&self, by_winner: &Place, by_rival: &Place) -> bool {
         let Some((normal, other)) = by_winner.normal.zip(by_rival.normal) else { return true };
         let offset = normal.dot(&(by_rival.point - by_winner.point)).abs();
-        offset > patches::TUNING.max_offset * self.fitting.pair.criteria().inlier_distance
-            || normal.dot(&other).abs() < patches::TUNING.agreeing_cosine
+        offset > patches::MAX_OFFSET * self.fitting.pair.criteria().inlier_distance
+            || normal.dot(&other).abs() < patches::AGREEING_COSINE
     }
 
     /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud

@@ -3,11 +3,34 @@
 use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
-use super::tuning::TUNING;
 use crate::cloud::planes::PlanePair;
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;
 use snake_geometry::Vector;
+
+/// Number of the source's voxels that tell its scale, at most. Set for time.
+const SCALE_POINTS: usize = 1500;
+/// Number of steps to the factor, at most. Set by hand.
+const SCALE_STEPS: usize = 12;
+/// A factor that differs from 1 by less after one step is not pursued. Unit: ratio. Set for time.
+const SCALE_GATE: f64 = 0.003;
+/// Fewer pairs of voxels do not tell the scale. Set by hand.
+const MIN_SCALE_PAIRS: usize = 100;
+/// Planes tell the scale if this much of their squared distance under a change of scale is left after the best rigid
+/// motion: three walls of a room fit at any scale. Unit: squared extents of the pairs. Set by hand.
+const MIN_SCALE_SHARE: f64 = 0.02;
+/// A smaller difference from 1 is not noted. Unit: ratio. The smallest that matters.
+const MIN_SCALE: f64 = 0.01;
+/// A factor differs from 1 if it does by so many of its standard deviations. Set by hand.
+const SCALE_DEVIATIONS: f64 = 5.0;
+/// The factor is found when a step changes it by less. Unit: ratio. Set by hand.
+const SCALE_TOLERANCE: f64 = 1e-4;
+/// With the factor, this share of the squared distances is left at most. Set on training scenes and objects of true
+/// scale.
+const SCALE_GAIN: f64 = 0.6;
+/// The halves of the overlap change the factor by this at most. Unit: share of the change. Set on training scenes and
+/// objects of true scale.
+const SCALE_DISAGREEMENT: f64 = 0.2;
 
 /// A factor for the source, with the rigid transform that then follows.
 #[derive(Debug, Clone, Copy)]
@@ -29,16 +52,16 @@ struct Step {
 /// scale too, but in some places only.
 pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
     let before = Similarity { factor: 1.0, transform: *transform }.pairs(surfaces);
-    if (step(&before)?.factor - 1.0).abs() < TUNING.scale_gate {
+    if (step(&before)?.factor - 1.0).abs() < SCALE_GATE {
         return None;
     }
     let (similarity, deviation) = similarity(surfaces, transform)?;
     let after = similarity.pairs(surfaces);
     let change = similarity.factor - 1.0;
-    let is_better = mean_squared(&after) < TUNING.scale_gain * mean_squared(&before);
-    let is_certain = change.abs() > TUNING.min_scale.max(TUNING.scale_deviations * deviation);
+    let is_better = mean_squared(&after) < SCALE_GAIN * mean_squared(&before);
+    let is_certain = change.abs() > MIN_SCALE.max(SCALE_DEVIATIONS * deviation);
     let agrees = |half: &Vec<PlanePair>| {
-        step(half).is_some_and(|own| (own.factor - 1.0).abs() < TUNING.scale_disagreement * change.abs())
+        step(half).is_some_and(|own| (own.factor - 1.0).abs() < SCALE_DISAGREEMENT * change.abs())
     };
     (is_certain && is_better && halves(&after).iter().all(agrees)).then_some(similarity.factor)
 }
@@ -52,8 +75,8 @@ pub(crate) fn best_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f6
 fn similarity(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<(Similarity, f64)> {
     let mut similarity = Similarity { factor: 1.0, transform: *transform };
     let mut last = step(&similarity.pairs(surfaces))?;
-    for _ in 0..TUNING.scale_steps {
-        if (last.factor - 1.0).abs() < TUNING.scale_tolerance {
+    for _ in 0..SCALE_STEPS {
+        if (last.factor - 1.0).abs() < SCALE_TOLERANCE {
             break;
         }
         similarity = similarity.after(&last);
@@ -89,7 +112,7 @@ impl Similarity {
 
     /// Points of the source and the planes of the target next to them, where their normals agree.
     fn pairs(&self, [source, target]: &[Surface; 2]) -> Vec<PlanePair> {
-        let step = source.points.len().div_ceil(TUNING.scale_points);
+        let step = source.points.len().div_ceil(SCALE_POINTS);
         let pair = |index: usize| {
             let point = moved(&self.transform, &(self.factor * source.points[index]));
             let (nearest, _) = target.grid.nearest(&point)?;
@@ -122,7 +145,7 @@ fn step(pairs: &[PlanePair]) -> Option<Step> {
     let inverse = information.try_inverse()?;
     // What a rigid motion cannot do.
     let own = scales - coupling.dot(&(inverse * coupling));
-    if pairs.len() < TUNING.min_scale_pairs || own < TUNING.min_scale_share * count {
+    if pairs.len() < MIN_SCALE_PAIRS || own < MIN_SCALE_SHARE * count {
         return None;
     }
     let change = (along - coupling.dot(&(inverse * residuals))) / own;

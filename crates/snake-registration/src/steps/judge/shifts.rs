@@ -1,8 +1,25 @@
 //! Shifts of the source under which details of the target repeat, such as the windows of a wall.
 
-use super::tuning::TUNING;
+use super::constants::{DETAIL, ELSEWHERE, MIN_SHIFT, TRIES};
 use crate::cloud::patches::{self, FineCloud, Place};
 use snake_geometry::Vector;
+
+/// A place faces along an axis if its cosine is above this. Set by hand.
+const SHIFT_COSINE: f64 = 0.8;
+/// Length of the longest shift. Unit: share of the overlap's extent. Half and twice change no outcome.
+const MAX_SHIFT: f64 = 0.5;
+/// Share of the details that must be in view after a shift, and fit. Unit: share of the details that fit at rest. Half
+/// and twice change no outcome.
+const MIN_SHIFT_VIEW: f64 = 0.25;
+/// Details repeat after a shift if of those in view this share more fits than after most shifts. Unit: share of the
+/// same beside rest. Half and twice change no outcome; seen on a wall with windows every 1.5 m.
+const SHIFT_FIT: f64 = 0.5;
+/// After a short shift this share of them fits. Unit: share of the details in view. 0.41 to 0.8 on a made wall, 0.2 to
+/// 0.35 in most real rooms.
+const MIN_SHORT_FIT: f64 = 0.4;
+/// On the way to a shift the details fit worse than this. Unit: share of that after the shift. Half and twice change no
+/// outcome.
+const SHIFT_VALLEY: f64 = 0.9;
 
 /// The greatest number of bits of a relief.
 const MAX_CELLS: f64 = 1e8;
@@ -32,7 +49,7 @@ impl Relief {
     /// `points` are in the frame of the axes; `None` for a cloud of too many cells.
     fn new(points: &[Vector], across: usize, distance: f64) -> Option<Self> {
         let axes = [across, (across + 1) % 3, (across + 2) % 3];
-        let sides = [patches::TUNING.max_offset, TUNING.detail, TUNING.detail].map(|side| side * distance);
+        let sides = [patches::MAX_OFFSET, DETAIL, DETAIL].map(|side| side * distance);
         let low = points.iter().copied().reduce(|a, b| a.inf(&b))?;
         let extent = points.iter().copied().reduce(|a, b| a.sup(&b))? - low;
         let low = std::array::from_fn(|i| low[axes[i]] - sides[i]);
@@ -96,7 +113,7 @@ pub(super) fn shifts(
     let places: Vec<(Vector, Option<usize>)> = places
         .iter()
         .map(|Place { point, normal }| {
-            let facing = normal.map(|normal| into(&normal)).filter(|n| n.amax() > TUNING.shift_cosine);
+            let facing = normal.map(|normal| into(&normal)).filter(|n| n.amax() > SHIFT_COSINE);
             (into(point), facing.map(|normal| normal.iamax()))
         })
         .collect();
@@ -115,12 +132,12 @@ pub(super) fn shifts(
 /// The lengths of such shifts along one axis, each with whether the details fit better there than
 /// at rest.
 fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<(f64, bool)> {
-    let step = TUNING.detail * distance;
+    let step = DETAIL * distance;
     let (low, high) = places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (place, _)| {
         (low.min(place[axis]), high.max(place[axis]))
     });
-    let reach = (TUNING.max_shift * (high - low) / step) as i64;
-    let min = (TUNING.min_shift * distance / step).ceil() as i64;
+    let reach = (MAX_SHIFT * (high - low) / step) as i64;
+    let min = (MIN_SHIFT * distance / step).ceil() as i64;
     if reach <= min {
         return Vec::new();
     }
@@ -162,23 +179,23 @@ fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
     shares.sort_by(f64::total_cmp);
     let elsewhere = shares[shares.len() / 2];
     let min_share = |shift: i64| {
-        let is_short = shift.abs() as f64 * TUNING.detail <= TUNING.elsewhere;
-        let least = elsewhere + TUNING.shift_fit * (at_rest - elsewhere);
-        if is_short { least.max(TUNING.min_short_fit) } else { least }
+        let is_short = shift.abs() as f64 * DETAIL <= ELSEWHERE;
+        let least = elsewhere + SHIFT_FIT * (at_rest - elsewhere);
+        if is_short { least.max(MIN_SHORT_FIT) } else { least }
     };
     let is_peak = |shift: &i64| {
         let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
         let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
         shift.abs() >= min
-            && fit(*shift) >= TUNING.min_shift_view * fit(0)
+            && fit(*shift) >= MIN_SHIFT_VIEW * fit(0)
             && share(*shift) >= min_share(*shift)
             && near.into_iter().all(|other| fit(other) <= fit(*shift))
-            && way.map(share).fold(1.0, f64::min) < TUNING.shift_valley * share(*shift)
+            && way.map(share).fold(1.0, f64::min) < SHIFT_VALLEY * share(*shift)
     };
     let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
     // Those at which most details are in view and fit.
     peaks.sort_by(|a, b| fit(*b).total_cmp(&fit(*a)).then(a.cmp(b)));
-    peaks.truncate(TUNING.tries);
+    peaks.truncate(TRIES);
     let at_rest = share(0).max(at_rest);
     peaks.into_iter().map(|shift| (shift, share(shift) > at_rest)).collect()
 }

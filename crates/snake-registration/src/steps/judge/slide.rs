@@ -4,8 +4,10 @@
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Translation3};
 use rayon::prelude::*;
 
-use super::tuning::TUNING;
 use crate::cloud::surface::{Agreement, Surface, coarse_step};
+
+/// Distances by which the source slides to either side. Unit: inlier distances. Half and twice change no outcome.
+const SLIDES: [f64; 6] = [2.0, 3.0, 4.0, 6.0, 9.0, 12.0];
 
 /// By how much overlap less free space (as in [`Agreement::fit`]) beats the best of the slides of
 /// the source along the translation that the overlap fixes least. A wrong transform along a wall
@@ -26,7 +28,7 @@ pub(super) fn slide_margin(
         let moved = Translation3::from(direction * slide) * transform;
         Surface::agreement(source, target, &moved, step).fit()
     };
-    let slides: Vec<f64> = TUNING.slides.par_iter().flat_map(|&slide| [slide, -slide]).map(fit).collect();
+    let slides: Vec<f64> = SLIDES.par_iter().flat_map(|&slide| [slide, -slide]).map(fit).collect();
     agreement.fit() - slides.into_iter().fold(f64::NEG_INFINITY, f64::max)
 }
 

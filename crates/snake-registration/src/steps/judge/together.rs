@@ -1,18 +1,27 @@
 //! What contradicts sensors at one place, and moved as a whole: posts that stand still beside traffic
 //! that keeps pace with the sensor.
 
+use super::constants::{DETAIL, FEW_PLACES, MIN_AGREEING, MIN_SHIFT};
 use std::collections::HashMap;
 
 use nalgebra::IsometryMatrix3;
 
 use super::open_motions::axis_name;
-use super::tuning::TUNING;
 use crate::cloud::depth_image::{DepthImage, FINE, Sight};
 use crate::cloud::near_grid::NearGrid;
 use crate::rigid::moved;
 use crate::steps::pair::Pair;
 use snake_core::Result;
 use snake_geometry::Vector;
+
+/// They hang together if one slide brings this share of them onto each other. Unit: share of the places. Posts beside a
+/// motorway have 0.2 to 0.6, beside vehicles that drift.
+const TOGETHER: f64 = 0.2;
+/// Number of slides that are tried, at most. Half and twice change no outcome; things that moved alone come first.
+const SLIDES_TOGETHER: usize = 40;
+/// Places that hang together are a part of the scene, not one thing that moved, if they spread by this. Unit: share of
+/// the cloud's spread. Posts beside a motorway have 0.315 to 0.63, one car 0.05, furniture up to 0.3.
+const MIN_TOGETHER_SPREAD: f64 = 0.31;
 
 /// A part of the source that another slide brings onto the target.
 #[derive(Debug, Clone, Copy)]
@@ -44,14 +53,14 @@ pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> R
     let source = apart(pair, 0, transform)?;
     let target = apart(pair, 1, &transform.inverse())?;
     let source: Vec<Vector> = source.iter().map(|point| moved(transform, point)).collect();
-    let grid = NearGrid::new(&target, 2.0 * TUNING.detail * distance);
-    let min_spread = TUNING.min_together_spread * spread(&pair.clouds()[1].voxels.voxels.points);
+    let grid = NearGrid::new(&target, 2.0 * DETAIL * distance);
+    let min_spread = MIN_TOGETHER_SPREAD * spread(&pair.clouds()[1].voxels.voxels.points);
     let together = |slide: Vector| {
         let hits: Vec<Vector> =
             source.iter().map(|point| point + slide).filter(|point| grid.nearest(point).is_some()).collect();
         let share = hits.len() as f64 / source.len().min(target.len()) as f64;
         let center = hits.iter().sum::<Vector>() / hits.len().max(1) as f64;
-        (share >= TUNING.together && spread(&hits) >= min_spread).then_some(Together { slide, share, center })
+        (share >= TOGETHER && spread(&hits) >= min_spread).then_some(Together { slide, share, center })
     };
     Ok(frequent_slides(&source, &target, distance).into_iter().find_map(together))
 }
@@ -63,7 +72,7 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
     let Some((viewpoint, _)) = pair.clouds()[1 - from].viewpoint else { return Ok(Vec::new()) };
     let other = fine[1 - from];
     let image = DepthImage::new(other.points(), viewpoint, distance, FINE);
-    let places = fine[from].thinned(TUNING.detail * distance, usize::MAX).into_iter().filter(|place| {
+    let places = fine[from].thinned(DETAIL * distance, usize::MAX).into_iter().filter(|place| {
         let place = place.moved(transform);
         match other.lies_on(&place, distance) {
             Some(is_on) => !is_on,
@@ -71,7 +80,7 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
         }
     });
     let all: Vec<Vector> = places.map(|place| place.point).collect();
-    Ok(all.iter().step_by(all.len().div_ceil(TUNING.few_places).max(1)).copied().collect())
+    Ok(all.iter().step_by(all.len().div_ceil(FEW_PLACES).max(1)).copied().collect())
 }
 
 /// The slides from places of one cloud to those of another on which most pairs agree, each the mean of a
@@ -81,17 +90,17 @@ fn frequent_slides(source: &[Vector], target: &[Vector], distance: f64) -> Vec<V
     for from in source {
         for to in target {
             let slide = to - from;
-            if slide.norm() > TUNING.min_shift * distance {
-                let cell = slide.map(|v| (v / (2.0 * TUNING.detail * distance)).round() as i64);
+            if slide.norm() > MIN_SHIFT * distance {
+                let cell = slide.map(|v| (v / (2.0 * DETAIL * distance)).round() as i64);
                 let (count, sum) = cells.entry(cell.into()).or_insert((0, Vector::zeros()));
                 *count += 1;
                 *sum += slide;
             }
         }
     }
-    let mut slides: Vec<_> = cells.into_iter().filter(|(_, (count, _))| *count >= TUNING.min_agreeing).collect();
+    let mut slides: Vec<_> = cells.into_iter().filter(|(_, (count, _))| *count >= MIN_AGREEING).collect();
     slides.sort_by_key(|(cell, (count, _))| (usize::MAX - count, *cell));
-    slides.truncate(TUNING.slides_together);
+    slides.truncate(SLIDES_TOGETHER);
     slides.into_iter().map(|(_, (count, sum))| sum / count as f64).collect()
 }
 

@@ -6,9 +6,21 @@ use rayon::prelude::*;
 
 use crate::cloud::normals::check_radius;
 use crate::options::RegisterOptions;
-use crate::steps::prepare::{TUNING, voxel_size as default_voxel_size};
+use crate::steps::prepare::voxel_size as default_voxel_size;
 use snake_core::Result;
 use snake_geometry::{Length, Neighbors, Point, resolution};
+
+/// Voxels are made larger for clouds whose neighbouring voxels are farther apart than this. Half and twice change no
+/// outcome; for the time of sparse clouds beside dense ones.
+const MAX_SPACING: f64 = 6.0;
+/// Radius of the neighbourhood of a normal, unless it is given. Unit: spacings of the voxels. Half and twice lose a
+/// made pair.
+const NORMAL_SPACINGS: f64 = 2.0;
+/// Radius of the neighbourhood of FPFH, unless it is given. Unit: spacings of the voxels. Half and twice lose a made
+/// pair.
+const FEATURE_SPACINGS: f64 = 5.0;
+/// Inlier distance, unless it is given. Unit: spacings of the voxels. Half and twice lose a made pair.
+const INLIER_SPACINGS: f64 = 1.5;
 
 /// The lengths with which clouds are prepared, in cloud units. Clouds that are registered with each
 /// other share them.
@@ -29,9 +41,9 @@ impl Lengths {
     pub fn from_spacing(voxel_size: f64, spacing: f64) -> Self {
         Self {
             voxel_size,
-            normal_radius: TUNING.normal_spacings * spacing,
-            feature_radius: TUNING.feature_spacings * spacing,
-            inlier_distance: TUNING.inlier_spacings * spacing,
+            normal_radius: NORMAL_SPACINGS * spacing,
+            feature_radius: FEATURE_SPACINGS * spacing,
+            inlier_distance: INLIER_SPACINGS * spacing,
         }
     }
 
@@ -87,7 +99,7 @@ impl GivenLengths {
         let mut spacing = spacing(&voxels, voxel_size);
         // The radii follow from the spacing: in a cloud that is much denser, they would hold
         // thousands of voxels.
-        if spacing > TUNING.max_spacing * voxel_size {
+        if spacing > MAX_SPACING * voxel_size {
             voxel_size = spacing / 2.0;
             voxels = downsample(voxel_size)?;
             spacing = self::spacing(&voxels, voxel_size);

@@ -20,32 +20,18 @@ pub use voxel_cloud::VoxelCloud;
 
 use crate::cloud::voxels::downsample;
 use crate::options::RegisterOptions;
-use crate::tuning::tuning;
 use cloud::UsedPoints;
 use lengths::GivenLengths;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Neighbors, Point};
 
-tuning! {
-    /// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given.
-    voxels_per_diameter: f64 = 80.0, unit "voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
-    /// Voxels are made larger for clouds whose neighbouring voxels are farther apart than this.
-    max_spacing: f64 = 6.0, unit "voxels", from "half and twice change no outcome (tests/bench/sensitivity.py); for the time of sparse clouds beside dense ones";
-    /// Radius of the neighbourhood of a normal, unless it is given.
-    normal_spacings: f64 = 2.0, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
-    /// Radius of the neighbourhood of FPFH, unless it is given.
-    feature_spacings: f64 = 5.0, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
-    /// Inlier distance, unless it is given.
-    inlier_spacings: f64 = 1.5, unit "spacings of the voxels", from "half and twice lose a made pair (tests/bench/sensitivity.py)";
-    /// The frame's origin is taken for the sensor's position if this share of the cloud is visible
-    /// from there.
-    min_visible: f64 = 0.65, unit "share of the voxels",
-        from "scans have 0.7 and more even if the sensor moved, whole objects about half (3738705)";
-}
+/// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given. Half and twice lose a made
+/// pair.
+const VOXELS_PER_DIAMETER: f64 = 80.0;
 
 /// The default voxel size of a cloud of this diameter.
 pub(crate) fn voxel_size(diameter: f64) -> f64 {
-    diameter / TUNING.voxels_per_diameter
+    diameter / VOXELS_PER_DIAMETER
 }
 
 /// Clouds that are prepared with the same lengths.

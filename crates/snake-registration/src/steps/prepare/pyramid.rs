@@ -4,18 +4,15 @@ use std::collections::BTreeMap;
 
 use super::{PreparedCloud, PreparedClouds, prepare_given};
 use crate::options::RegisterOptions;
-use crate::tuning::tuning;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Length, Point};
 
-tuning! {
-    /// Voxels beside the finer ones of a further try.
-    finer: f64 = 3.0, unit "ratio of sides",
-        from "of 24 pairs of made sweeps 13 and 17 m apart 11 are reliable, 5 without (`sweeps` in tests/verdict.rs)";
-    /// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share
-    /// a scale.
-    scale_ratio: f64 = 4.0, unit "ratio of lengths", from "set by hand in b0e7886";
-}
+/// Voxels beside the finer ones of a further try. Unit: ratio of sides. Of 24 pairs of made sweeps 13 and 17 m apart 11
+/// are reliable, 5 without (`sweeps` in tests/verdict.rs).
+const FINER: f64 = 3.0;
+/// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share a scale. Unit: ratio
+/// of lengths. Set by hand.
+const SCALE_RATIO: f64 = 4.0;
 
 /// Clouds `(N, 3)` as they are given, and how they are prepared.
 pub(crate) struct Given<'a> {
@@ -87,7 +84,7 @@ impl Level {
         if members.len() < 2 {
             return Ok(None);
         }
-        match given.prepare_at(members, self.clouds.lengths.voxel_size / TUNING.finer, control) {
+        match given.prepare_at(members, self.clouds.lengths.voxel_size / FINER, control) {
             Err(error @ (Error::Cancelled | Error::DeadlineExceeded)) => Err(error),
             level => Ok(level.ok()),
         }
@@ -112,7 +109,7 @@ impl Pyramid {
         let voxel_size = usual.clouds.lengths.voxel_size;
         let scale = |cloud: &PreparedCloud| match given.options.voxel_size {
             Some(_) => 0,
-            None => ((cloud.default_voxel_size() / voxel_size).ln() / TUNING.scale_ratio.ln()).round() as i32,
+            None => ((cloud.default_voxel_size() / voxel_size).ln() / SCALE_RATIO.ln()).round() as i32,
         };
         let scales: Vec<i32> = usual.clouds.clouds.iter().map(scale).collect();
         let mut pyramid = Self { usual, scales, others: BTreeMap::new(), finer: BTreeMap::new() };
@@ -121,7 +118,7 @@ impl Pyramid {
         distinct.dedup();
         for &scale in distinct.iter().filter(|scale| **scale != 0) {
             let members = (0..pyramid.len()).filter(|&cloud| pyramid.scales[cloud] >= scale).collect();
-            let level = given.prepare_at(members, voxel_size * TUNING.scale_ratio.powi(scale), control)?;
+            let level = given.prepare_at(members, voxel_size * SCALE_RATIO.powi(scale), control)?;
             pyramid.others.insert(scale, level);
         }
         for scale in pyramid.others.keys().copied().chain([0]) {

@@ -5,9 +5,12 @@ use nalgebra::{IsometryMatrix3, Matrix6};
 use crate::cloud::planes::{PlanePair, information, plane_pairs, plane_step, symmetric_pairs};
 use crate::cloud::surface::Surface;
 use crate::rigid::rotation_vector;
-use crate::steps::refine::TUNING;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
+
+/// ICP ends when the translation is below this share of the distance between pairs, and the rotation below this angle.
+/// Unit: share of the distance, and radians. Half and twice change no outcome.
+const TOLERANCE: f64 = 1e-5;
 
 /// Refines a rough transform by point-to-plane ICP (Chen and Medioni 1991, linearised).
 ///
@@ -54,9 +57,7 @@ pub(crate) fn iterate(
         counter.check()?;
         let Some(step) = plane_step(&pairs(&transform), gravity) else { break };
         transform = step * transform;
-        if step.translation.vector.norm() < TUNING.tolerance * distance
-            && rotation_vector(&step.rotation).norm() < TUNING.tolerance
-        {
+        if step.translation.vector.norm() < TOLERANCE * distance && rotation_vector(&step.rotation).norm() < TOLERANCE {
             break;
         }
     }

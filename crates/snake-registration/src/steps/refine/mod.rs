@@ -11,37 +11,26 @@ use crate::rigid::displacement;
 use crate::steps::matches::{Criteria, Match, inliers};
 use crate::steps::pair::Pair;
 use crate::steps::single_matches::Voters;
-use crate::tuning::tuning;
 use icp::{one_way_icp, symmetric_icp};
 use patches::refine_on_patches;
 use snake_core::{Control, Result};
 use snake_geometry::{RigidTransform, Vector};
 
-tuning! {
-    /// Number of ICP steps before transforms are compared.
-    coarse_steps: usize = 5, unit "steps", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Number of transforms that are refined on all voxels, at least.
-    min_refined: usize = 3, unit "transforms", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// A guess is first refined with pairs up to this far apart.
-    wide: f64 = 4.0, unit "inlier distances", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Two candidates are one if the clouds are not moved farther apart than this (root mean
-    /// square).
-    min_difference: f64 = 2.0, unit "inlier distances", from "set by hand in 3738705";
-    /// Weight of a single match that supports a transform, beside the overlap.
-    support_weight: f64 = 0.002, unit "overlap per transform",
-        from "chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3";
-    /// Weight of the violated free space of a finer image, where single matches are compared.
-    fine_violation_weight: f64 = 6.0, unit "overlap per share of violated free space",
-        from "chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3";
-    /// ICP ends when the translation is below this share of the distance between pairs, and the
-    /// rotation below this angle.
-    tolerance: f64 = 1e-5, unit "share of the distance, and radians", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-    /// Distance between pairs of planar patches and number of steps, round by round.
-    patch_rounds: [(f64, usize); 2] = [(4.0, 4), (2.0, 8)], unit "fine voxels, steps",
-        from "set for time in 8e0d76d (0.08 instead of 0.11 s of CPU for a pair of made streets)";
-    /// Pairs of patches farther apart than this are left out.
-    max_medians: f64 = 4.0, unit "medians of all pairs", from "half and twice change no outcome (tests/bench/sensitivity.py)";
-}
+/// Number of ICP steps before transforms are compared. Half and twice change no outcome.
+const COARSE_STEPS: usize = 5;
+/// Number of transforms that are refined on all voxels, at least. Half and twice change no outcome.
+const MIN_REFINED: usize = 3;
+/// A guess is first refined with pairs up to this far apart. Unit: inlier distances. Half and twice change no outcome.
+const WIDE: f64 = 4.0;
+/// Two candidates are one if the clouds are not moved farther apart than this (root mean square). Unit: inlier
+/// distances. Set by hand.
+pub(crate) const MIN_DIFFERENCE: f64 = 2.0;
+/// Weight of a single match that supports a transform, beside the overlap. Unit: overlap per transform. Chosen on pairs
+/// of hotel_uc and redkitchen that overlap by 0.1 to 0.3.
+const SUPPORT_WEIGHT: f64 = 0.002;
+/// Weight of the violated free space of a finer image, where single matches are compared. Unit: overlap per share of
+/// violated free space. Chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3.
+const FINE_VIOLATION_WEIGHT: f64 = 6.0;
 
 /// A transform with the figures that rank it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -146,7 +135,7 @@ pub(crate) fn refine_supported(
         // The angle of a single match is rough: what agrees with its transform shows after ICP.
         let (num_inliers, rmse) = inliers(matches, refined, pair.criteria());
         let violation = Surface::violation(surfaces, &images, refined, step);
-        let support = TUNING.support_weight * voters.support(refined) as f64 - TUNING.fine_violation_weight * violation;
+        let support = SUPPORT_WEIGHT * voters.support(refined) as f64 - FINE_VIOLATION_WEIGHT * violation;
         Candidate { support: Some(support), ..Candidate::new((*refined).into(), num_inliers, rmse, agreement) }
     };
     refine_by(measure, pair, guesses, icp_steps, count, control)
@@ -171,13 +160,13 @@ fn refine_by(
     let candidates = guesses.par_iter().map(|guess| {
         counter.add(1);
         let guess = guess.isometry();
-        let steps = TUNING.coarse_steps.min(icp_steps);
+        let steps = COARSE_STEPS.min(icp_steps);
         let refined = level(criteria, |gravity| one_way_icp(&coarse, target, *guess, gravity, steps, &counter))?;
         Ok((*guess, measure(guess, &refined, step)))
     });
     // Otherwise the best few may all be one transform, and a rival is not seen.
     let mut candidates = distinct(candidates.collect::<Result<_>>()?, &coarse, criteria.inlier_distance);
-    candidates.truncate(TUNING.min_refined.max(count));
+    candidates.truncate(MIN_REFINED.max(count));
     for (guess, candidate) in &mut candidates {
         let rough = *candidate.t_target_source.isometry();
         let refined = level(criteria, |gravity| symmetric_icp(surfaces, rough, gravity, icp_steps, &counter))?;
@@ -205,7 +194,7 @@ fn refine_by(
 /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
 pub fn approach(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: &Control) -> Result<RigidTransform> {
     let mut transform = *guess.isometry();
-    for factor in [TUNING.wide, TUNING.wide.sqrt()] {
+    for factor in [WIDE, WIDE.sqrt()] {
         let [source, target] = pair.surfaces_within(factor * pair.criteria().inlier_distance);
         let counter = control.begin("ICP", 0);
         transform = level(pair.criteria(), |gravity| {
@@ -250,7 +239,7 @@ fn distinct(mut candidates: Vec<Refined>, points: &[Vector], inlier_distance: f6
     for (guess, candidate) in candidates {
         let transform = candidate.t_target_source.isometry();
         let differs = |(_, other): &Refined| {
-            displacement(transform, other.t_target_source.isometry(), points) > TUNING.min_difference * inlier_distance
+            displacement(transform, other.t_target_source.isometry(), points) > MIN_DIFFERENCE * inlier_distance
         };
         if distinct.iter().all(differs) {
             distinct.push((guess, candidate));

@@ -20,28 +20,25 @@ use crate::cloud::surface;
 use crate::rigid::moved;
 use crate::steps::oriented::Oriented;
 use crate::steps::pair::Pair;
-use crate::tuning::tuning;
 use free_space::FreeSpace;
 use snake_core::{Control, Counter, Result};
 use snake_geometry::{Vector, vector};
 use surroundings::{AZIMUTHS, Scene, Surroundings};
 
-tuning! {
-    /// Radius of the surroundings.
-    radius: f64 = 16.0, unit "inlier distances", from "set by hand";
-    /// Half the height of the surroundings.
-    half_height: f64 = 12.0, unit "inlier distances", from "set by hand";
-    /// Side of the cells that tell free space.
-    free_side: f64 = 1.3, unit "inlier distances", from "set by hand";
-    /// Every so many of a cloud's voxels are looked at.
-    scene_step: usize = 4, unit "voxels", from "set for time: with 1, 2 and 3 as many pairs of scenes are right";
-    /// Number of transforms that support each other, at most: those whose surroundings fit best.
-    max_voters: usize = 500, unit "transforms", from "set by hand";
-    /// A transform supports another that brings the points of its match closer than this.
-    support_distance: f64 = 4.0, unit "inlier distances", from "set by hand";
-    /// A transform supports another whose rotation differs by less than this.
-    support_angle: f64 = 20.0, unit "degrees", from "set by hand: a step of the azimuth is 11 degrees";
-}
+/// Radius of the surroundings. Unit: inlier distances. Set by hand.
+const RADIUS: f64 = 16.0;
+/// Side of the cells that tell free space. Unit: inlier distances. Set by hand.
+const FREE_SIDE: f64 = 1.3;
+/// Every so many of a cloud's voxels are looked at. Set for time: with 1, 2 and 3 as many pairs of scenes are right.
+const SCENE_STEP: usize = 4;
+/// Number of transforms that support each other, at most: those whose surroundings fit best. Set by hand.
+const MAX_VOTERS: usize = 500;
+/// A transform supports another that brings the points of its match closer than this. Unit: inlier distances. Set by
+/// hand.
+const SUPPORT_DISTANCE: f64 = 4.0;
+/// A transform supports another whose rotation differs by less than this. Unit: degrees. Set by hand: a step of the
+/// azimuth is 11 degrees.
+const SUPPORT_ANGLE: f64 = 20.0;
 
 /// The transform of a match, and its points.
 #[derive(Debug, Clone, Copy)]
@@ -76,8 +73,8 @@ impl Voters {
         all.retain(|voter| pair.criteria().is_level(&voter.transform.rotation));
         // The order of the matches decides between equals.
         all.sort_by_key(|voter| Reverse(voter.score));
-        all.truncate(TUNING.max_voters);
-        Ok(Self { all, support_distance: TUNING.support_distance * pair.criteria().inlier_distance })
+        all.truncate(MAX_VOTERS);
+        Ok(Self { all, support_distance: SUPPORT_DISTANCE * pair.criteria().inlier_distance })
     }
 
     /// Number of single matches whose transforms are about this one.
@@ -87,7 +84,7 @@ impl Voters {
 
     fn supports(&self, voter: &Voter, transform: &IsometryMatrix3<f64>) -> bool {
         (moved(transform, &voter.source) - voter.target).norm() < self.support_distance
-            && transform.rotation.angle_to(&voter.transform.rotation) < TUNING.support_angle.to_radians()
+            && transform.rotation.angle_to(&voter.transform.rotation) < SUPPORT_ANGLE.to_radians()
     }
 
     /// At most `count` distinct transforms, that with most support first.
@@ -114,14 +111,14 @@ fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -
     let cloud = pair.clouds()[side];
     let distance = pair.criteria().inlier_distance;
     let voxels = &cloud.voxels.voxels.points;
-    let margin = surface::TUNING.depth_margin * distance;
+    let margin = surface::DEPTH_MARGIN * distance;
     let Some(viewpoint) = pair.surfaces()[side].viewpoint() else { return Ok(vec![None; cloud.keypoints.len()]) };
     let image = DepthImage::new(voxels, viewpoint, margin, COARSE);
-    let sample: Vec<Vector> = voxels.iter().step_by(TUNING.scene_step).copied().collect();
+    let sample: Vec<Vector> = voxels.iter().step_by(SCENE_STEP).copied().collect();
     let scene = Scene {
-        normals: cloud.voxels.normals.iter().step_by(TUNING.scene_step).copied().collect(),
-        grid: NearGrid::new(&sample, TUNING.radius * distance),
-        free: FreeSpace::new(voxels, &image, TUNING.free_side * distance),
+        normals: cloud.voxels.normals.iter().step_by(SCENE_STEP).copied().collect(),
+        grid: NearGrid::new(&sample, RADIUS * distance),
+        free: FreeSpace::new(voxels, &image, FREE_SIDE * distance),
     };
     let mut is_matched = vec![false; cloud.keypoints.len()];
     matches.iter().for_each(|matched| is_matched[matched[side]] = true);

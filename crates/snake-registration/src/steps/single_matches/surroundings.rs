@@ -1,13 +1,16 @@
 //! What lies around a point: surfaces and free space in bins of a cylinder about its normal.
 
+use super::RADIUS;
 use std::f64::consts::TAU;
 
-use super::TUNING;
 use super::free_space::FreeSpace;
 use crate::cloud::near_grid::NearGrid;
 use crate::cloud::surface;
 use crate::steps::oriented::Oriented;
 use snake_geometry::Vector;
+
+/// Half the height of the surroundings. Unit: inlier distances. Set by hand.
+const HALF_HEIGHT: f64 = 12.0;
 
 /// Number of rings around the axis.
 const RINGS: usize = 8;
@@ -38,11 +41,10 @@ pub(super) struct Scene {
 }
 
 impl Surroundings {
-    /// What lies within `radius` of a place, and as far along its normal as [`TUNING`] has it for
-    /// this inlier distance.
+    /// What lies within `radius` of a place, and within `HALF_HEIGHT` along its normal.
     pub(super) fn new(place: &Oriented, scene: &Scene, inlier_distance: f64) -> Self {
-        let ring = TUNING.radius * inlier_distance / RINGS as f64;
-        let slab = 2.0 * TUNING.half_height * inlier_distance / SLABS as f64;
+        let ring = RADIUS * inlier_distance / RINGS as f64;
+        let slab = 2.0 * HALF_HEIGHT * inlier_distance / SLABS as f64;
         let [y, z] = place.across();
         let mut around = Self { along: [0; CELLS], across: [0; CELLS], free: [0; CELLS] };
         scene.grid.within(&place.point, |voxel, offset, _| {
@@ -54,7 +56,7 @@ impl Surroundings {
             }
             let turns = v.atan2(u) / TAU;
             let azimuth = ((turns - turns.floor()) * f64::from(AZIMUTHS)) as u32 % AZIMUTHS;
-            let is_along = scene.normals[voxel].dot(&place.normal).abs() > surface::TUNING.agreeing_cosine;
+            let is_along = scene.normals[voxel].dot(&place.normal).abs() > surface::AGREEING_COSINE;
             let kind = if is_along { &mut around.along } else { &mut around.across };
             kind[ring * SLABS + slab as usize] |= 1 << azimuth;
         });

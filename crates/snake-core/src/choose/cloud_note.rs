@@ -1,0 +1,80 @@
+//! What a user should know of a cloud before its keypoints.
+
+use crate::cloud::UsedCloud;
+use crate::network::ModelConfig;
+use crate::options::Options;
+
+/// What was left out of a cloud ([`UsedCloud::findings`]), a haze ([`UsedCloud::haze`]), and coordinates that were rounded to more
+/// than a voxel; `None` if nothing is wrong.
+pub(super) fn cloud_note(cloud: &UsedCloud, config: &ModelConfig, options: &Options) -> Option<String> {
+    let haze = cloud.haze().map(|share| {
+        format!(
+            "about {:.0} % of the points stand alone, far from their neighbours, as haze and floaters do: keypoints may lie \
+             on them; remove them, for example by a statistical filter",
+            100.0 * share
+        )
+    });
+    let step = config.volume.coarse_step(cloud, &options.encode).map(|step| {
+        format!(
+            "the {} coordinates are multiples of {}, farther apart than the points, and no voxel is smaller: they were \
+             rounded, as float32 does far from zero; store them in double precision or near zero",
+            ["x", "y", "z"][step.axis],
+            rounded(step.length)
+        )
+    });
+    cloud.findings().into_iter().chain(haze).chain(step).reduce(|first, second| format!("{first}; {second}"))
+}
+
+/// A length with three digits.
+fn rounded(length: f64) -> f64 {
+    format!("{length:.2e}").parse().unwrap_or(length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Builtin, Model};
+    use snake_geometry::Point;
+
+    /// Points on a sphere.
+    fn sphere(number: usize, radius: f32) -> Vec<Point> {
+        let point = |i: usize| {
+            let z = 2.0 * (i as f32 + 0.5) / number as f32 - 1.0;
+            let (sin, cos) = (i as f32 * 2.4).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [radius * flat * cos, radius * flat * sin, radius * z]
+        };
+        (0..number).map(point).collect()
+    }
+
+    fn note(model: &Model, points: &[Point]) -> String {
+        let cloud = UsedCloud::new(points).unwrap();
+        cloud_note(&cloud, model.config(), model.recommended()).unwrap_or_default()
+    }
+
+    #[test]
+    fn sky_about_an_object_is_named() {
+        let compact = Model::builtin(Builtin::Compact);
+        let mut splats = sphere(6000, 1.0);
+        assert_eq!(note(&compact, &splats), "");
+        splats.extend(sphere(1500, 100.0));
+        let text = note(&compact, &splats);
+        assert!(text.starts_with("1500 of 7500 points are up to ") && text.contains("sky, floaters"), "{text}");
+    }
+
+    #[test]
+    fn rounded_coordinates_are_named_if_they_are_coarser_than_voxels() {
+        let scenes = Model::builtin(Builtin::Scenes);
+        for (model, step, is_named) in [
+            (&scenes, 0.5, true),
+            (&scenes, 0.001, false),
+            (&Model::builtin(Builtin::Compact), 0.5, true),
+            (&Model::builtin(Builtin::Compact), 0.01, false),
+        ] {
+            let points: Vec<Point> =
+                sphere(5000, 5.0).into_iter().map(|[x, y, z]| [x, (y / step).round() * step, z]).collect();
+            let text = format!("the y coordinates are multiples of {step},");
+            assert_eq!(note(model, &points).contains(&text), is_named, "{step}");
+        }
+    }
+}

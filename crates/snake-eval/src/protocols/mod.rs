@@ -1,5 +1,0 @@
-//! Steps of benchmarks whose protocol fixes them.
-
-mod ransac;
-
-pub use ransac::{Consensus, RansacOptions, ransac};
