@@ -210,6 +210,7 @@ fn parse_shape(shape: &str) -> Option<(Option<usize>, usize, usize)> {
 mod tests {
     use super::*;
     use crate::tests::points;
+    use snake_geometry::Point;
 
     fn read(bytes: &[u8]) -> Result<Vec<Point>, String> {
         points(super::read(bytes, None))
