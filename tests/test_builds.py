@@ -44,4 +44,4 @@ def test_features_do_not_have_crates_compiled_twice():
 def test_the_default_program_has_few_packages():
     tree = ["cargo", "tree", "-p", "snake-keypoints", "-e", "normal,build", "--prefix", "none", "--format", "{p}"]
     printed = subprocess.run(tree, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert len({line.removesuffix(" (*)") for line in printed.splitlines()}) <= 155
+    assert len({line.removesuffix(" (*)") for line in printed.splitlines()}) <= 147
