@@ -201,6 +201,8 @@ fn clouds_in(folder: &Path, format: Option<PointFormat>) -> Result<Vec<PathBuf>>
     found.sort();
     skipped.sort();
     if found.is_empty() {
+        // The folder of a bag in SQLite: the error has the command that converts it.
+        skipped.iter().find(|file| has_extension(file, "db3")).map(|bag| PointFormat::from_path(bag)).transpose()?;
         bail!("{}: {}", folder.display(), without_clouds(folder, format, &skipped));
     }
     if !skipped.is_empty() {
@@ -209,6 +211,10 @@ fn clouds_in(folder: &Path, format: Option<PointFormat>) -> Result<Vec<PathBuf>>
         terminal::hint(&format!("{}: {number} of {all} files {verb} not read: {}", folder.display(), listed(&skipped)));
     }
     Ok(found)
+}
+
+fn has_extension(file: &Path, extension: &str) -> bool {
+    file.extension().is_some_and(|own| own == extension)
 }
 
 /// Whether a file of a directory is a cloud, or one of the given format. Only its name counts.
@@ -246,13 +252,10 @@ fn without_clouds(folder: &Path, format: Option<PointFormat>, files: &[PathBuf])
     if !files.is_empty() {
         text += &format!("; it has {} other files: {}", files.len(), listed(files));
     }
-    let with = |extension: &str| files.iter().find(|file| file.extension().is_some_and(|own| own == extension));
-    match (with("mcap"), with("db3"), with("bin"), format) {
+    let with = |extension: &str| files.iter().find(|file| has_extension(file, extension));
+    match (with("mcap"), with("bin"), format) {
         (Some(recording), ..) => text += &format!("; a recording is an input of its own: {}", recording.display()),
-        (_, Some(bag), ..) => {
-            text += &PointFormat::from_path(bag).map_or_else(|error| format!("; {error}"), |_| String::new())
-        }
-        (.., Some(_), None) => text += "; .bin files need --input-format kitti or nuscenes",
+        (_, Some(_), None) => text += "; .bin files need --input-format kitti or nuscenes",
         _ => text += &format!("; a pattern finds those in its folders: '{folder}/**/*.ply'"),
     }
     text

@@ -39,6 +39,9 @@ pub struct ComputeArguments {
 impl ComputeArguments {
     /// Starts the threads. Call it before any computation.
     pub fn start_threads(&self) -> Result<()> {
+        if Path::new("snake.toml").is_file() {
+            bail!("snake.toml: no such file is read; give options as flags or by --set, and the model by SNAKE_MODEL");
+        }
         if let Some(threads) = self.threads {
             let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
             if threads == 0 || usize::from(threads) > most {

@@ -166,6 +166,10 @@ fn options_can_be_environment_variables() {
     assert!(said.contains("threads: 3,"), "{said}");
     let output = snake_with(&["detect", &sample()], &[("SNAKE_THREADS", "many")]);
     assert!(output.status.code() == Some(2) && stderr(&output).contains("--threads"), "{}", stderr(&output));
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("snake.toml"), "threads = 1").unwrap();
+    let output = command(&["detect", &sample()], &[]).current_dir(folder.path()).output().unwrap();
+    assert_refused(&output, "snake.toml: no such file is read");
     let sse: &[(&str, &str)] = &[("SNAKE_SIMD", "sse")];
     let output = snake_with(&["detect", &sample()], sse);
     assert_eq!(output.status.code(), Some(2));
