@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use snake_io::{self as io, Attributes, Cloud, Columns, Contents, POINT_EXTENSIONS, PointFormat, ReadOptions};
 
@@ -123,11 +123,7 @@ impl InputArguments {
                 let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
                 io::parse_contents(&bytes, format, &options).with_context(|| path.display().to_string())
             }
-            None => io::read_contents(path, &options).map_err(|error| {
-                let is_unknown = path.exists() && PointFormat::from_path(path).is_err();
-                let error = anyhow::Error::from(error);
-                if is_unknown { anyhow!("{error}; --input-format names it, `-` is the standard input") } else { error }
-            }),
+            None => Ok(io::read_contents(path, &options)?),
         }
     }
 }
