@@ -42,7 +42,7 @@ t_2_1 = np.eye(4)  # maps view 1 to view 2
 t_2_1[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
 t_2_1[:3, 3] = [2, -1, 0.5]
 view_1, view_2 = points[::2], points[1::2] @ t_2_1[:3, :3].T + t_2_1[:3, 3]
-found_1, found_2 = snake_rs.detect(view_1), snake_rs.detect(view_2)
+found_1, found_2 = snake_rs.detect(view_1, model), snake_rs.detect(view_2, model)
 
 
 def share_found_again(keypoints_1, keypoints_2):

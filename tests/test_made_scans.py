@@ -32,7 +32,7 @@ def made_pairs(generate):
 
 def real_pairs(_):
     if not SWEEPS.is_dir():
-        pytest.skip(f"{SWEEPS} is missing: real sweeps are not tested")
+        pytest.skip("the real sweeps are not public: they are not registered")
     cloud = {path.stem: np.load(path) for path in SWEEPS.glob("*.npy")}
     rows = json.loads((SWEEPS / "pairs.json").read_text())
     return [(cloud[row["source"]], cloud[row["target"]], np.array(row["T"])) for row in rows]

@@ -125,5 +125,5 @@ def test_columns_are_told_or_chosen(points, tmp_path):
 
 def test_vertices_of_a_mesh_are_said_to_be_taken():
     mesh = Path(__file__).parent / "data/io/good/mesh.obj"
-    with pytest.warns(UserWarning, match="sample=N"):
+    with pytest.warns(UserWarning, match="`sample` draws points"):
         snake_rs.read_points(mesh)

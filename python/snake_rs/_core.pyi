@@ -1,7 +1,7 @@
 """Types of the private module `_core`. Check them with `python -m mypy.stubtest snake_rs._core`."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, overload, type_check_only
 
@@ -16,6 +16,7 @@ __all__ = [
     "DetectedTiles",
     "Field",
     "Fit",
+    "FrameDetector",
     "Keypoint",
     "Keypoints",
     "Matches",
@@ -84,6 +85,8 @@ _Array: TypeAlias = ArrayLike | _HasPoints | _HasVertices | _HasXyz | _HasPoint
 _Points: TypeAlias = _Array | _Path
 # A model, the name of a built-in model, or the path of a weight file.
 _Model: TypeAlias = Model | _Path
+# Called with the name of a stage, the completed and all units of its work.
+_Progress: TypeAlias = Callable[[str, int, int], object]
 
 # float32 for clouds of float32 or float16, else float64.
 _Positions: TypeAlias = NDArray[np.float32] | NDArray[np.float64]
@@ -212,14 +215,30 @@ class _Config(TypedDict):
 def detect(
     points: list[NDArray[Any]] | tuple[NDArray[Any], ...] | list[str] | list[Path] | list[RecordedCloud],
     model: _Model | None = None,
+    *,
+    deadline: float | None = None,
+    progress: _Progress | None = None,
     **options: Unpack[_Options],
 ) -> list[Keypoints]: ...
 @overload
-def detect(points: _Points, model: _Model | None = None, **options: Unpack[_Options]) -> Keypoints: ...
+def detect(
+    points: _Points,
+    model: _Model | None = None,
+    *,
+    deadline: float | None = None,
+    progress: _Progress | None = None,
+    **options: Unpack[_Options],
+) -> Keypoints: ...
 def scene_signs(points: _Points) -> list[float] | None: ...
 def match(a: Keypoints, b: Keypoints) -> NDArray[np.int64]: ...
 def register(
-    source: _Points, target: _Points, model: _Model | None = None, **options: Unpack[_RegisterOptions]
+    source: _Points,
+    target: _Points,
+    model: _Model | None = None,
+    *,
+    deadline: float | None = None,
+    progress: _Progress | None = None,
+    **options: Unpack[_RegisterOptions],
 ) -> Registration: ...
 def align(
     clouds: Sequence[_Points],
@@ -227,6 +246,8 @@ def align(
     *,
     viewpoints: Sequence[Sequence[float] | None] | None = None,
     initial_poses: Sequence[ArrayLike | None] | None = None,
+    deadline: float | None = None,
+    progress: _Progress | None = None,
     **options: Unpack[_AlignOptions],
 ) -> Alignment: ...
 def page(
@@ -243,6 +264,7 @@ def read_points(
     sample: int | None = None,
     seed: int = 0,
     columns: Sequence[int | str] | None = None,
+    keep_withheld: bool = False,
 ) -> NDArray[np.float64]: ...
 def read_recording(path: str | os.PathLike[str], topic: str | None = None) -> Recording: ...
 def estimate_normals(points: _Points, radius: float) -> NDArray[np.float32]: ...
@@ -340,6 +362,15 @@ class Field:
     def orientation(self) -> NDArray[np.float32]: ...
     def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
     def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
+    @property
+    def notes(self) -> list[str]: ...
+
+@final
+class FrameDetector:
+    def __new__(cls, model: _Model, **options: Unpack[_Options]) -> Self: ...
+    def detect(
+        self, points: _Points, *, deadline: float | None = None, progress: _Progress | None = None
+    ) -> Keypoints: ...
 
 @final
 class Keypoint:
@@ -419,7 +450,15 @@ class Keypoints:
 
 @final
 class Mesh:
-    def __new__(cls, vertices: _Positions, normals: NDArray[np.float32], triangles: NDArray[np.uint32]) -> Self: ...
+    def __new__(
+        cls,
+        vertices: _Positions,
+        normals: NDArray[np.float32],
+        triangles: NDArray[np.uint32],
+        notes: list[str] = ...,
+    ) -> Self: ...
+    @property
+    def notes(self) -> list[str]: ...
     @property
     def vertices(self) -> _Positions: ...
     @property
@@ -559,6 +598,17 @@ class Registration:
 
 @final
 class Verdict:
+    def __new__(
+        cls,
+        confidence: float,
+        is_reliable: bool,
+        is_ambiguous: bool,
+        notes: list[str],
+        weakest_constraint: float,
+        slide_margin: float,
+        repeat_fit: float,
+        free_space_violation: float,
+    ) -> Self: ...
     @property
     def confidence(self) -> float: ...
     @property
@@ -578,6 +628,14 @@ class Verdict:
 
 @final
 class Fit:
+    def __new__(
+        cls,
+        fitness: float,
+        rmse: float,
+        inlier_distance: float,
+        voxel_size: float,
+        information: NDArray[np.float64],
+    ) -> Self: ...
     @property
     def fitness(self) -> float: ...
     @property
@@ -591,6 +649,15 @@ class Fit:
 
 @final
 class Matches:
+    def __new__(
+        cls,
+        num_matches: int,
+        num_inliers: int,
+        rmse: float,
+        num_agreeing: int,
+        num_rival_agreeing: int,
+        spread: float,
+    ) -> Self: ...
     @property
     def num_matches(self) -> int: ...
     @property
@@ -606,6 +673,7 @@ class Matches:
 
 @final
 class CloudReport:
+    def __new__(cls, viewpoint: str, num_skipped: int) -> Self: ...
     @property
     def viewpoint(self) -> Literal["given", "origin", "none"]: ...
     @property

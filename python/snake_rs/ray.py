@@ -180,7 +180,7 @@ class RegisterPairs:
 def _loaded(model: Model | str) -> Model:
     if isinstance(model, Model):
         return model
-    return Model.builtin(model) if model in ("compact", "standard", "rooms", "scenes") else Model.load(model)
+    return Model.builtin(model) if model in ("compact", "standard", "scenes") else Model.load(model)
 
 
 @contextlib.contextmanager

@@ -6,8 +6,10 @@ use pyo3::types::{PyDict, PyTuple};
 use snake_registration as core;
 
 use crate::model;
+use crate::part::{attributes, part};
 use crate::registration::matrix;
-use crate::{arrays, options, threads};
+use crate::threads::{self, Watch};
+use crate::{arrays, options, warn};
 
 /// The poses of many clouds. They can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -36,9 +38,9 @@ pub struct Alignment {
     seconds: f64,
 }
 
+part! {
 /// A registration of two clouds of an alignment. It can be pickled.
-#[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct AlignmentEdge {
+AlignmentEdge {
     /// Index of the source.
     source: usize,
     /// Index of the target.
@@ -53,6 +55,7 @@ pub struct AlignmentEdge {
     residual: f64,
     /// Information matrix (6, 6) float64, as that of `Fit`.
     information: Py<PyArray2<f64>>,
+}
 }
 
 #[pymethods]
@@ -101,34 +104,6 @@ impl Alignment {
     }
 }
 
-#[pymethods]
-impl AlignmentEdge {
-    #[new]
-    fn new(
-        source: usize,
-        target: usize,
-        t_target_source: Py<PyArray2<f64>>,
-        confidence: f64,
-        belief: f64,
-        residual: f64,
-        information: Py<PyArray2<f64>>,
-    ) -> Self {
-        Self { source, target, t_target_source, confidence, belief, residual, information }
-    }
-
-    /// The content of a pickle: all attributes.
-    fn __getnewargs__<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyTuple>> {
-        let names = ["source", "target", "t_target_source", "confidence", "belief", "residual", "information"];
-        attributes(this, names)
-    }
-}
-
-/// The attributes of an object by name.
-fn attributes<'py, const N: usize>(object: &Bound<'py, PyAny>, names: [&str; N]) -> PyResult<Bound<'py, PyTuple>> {
-    let values = names.iter().map(|name| object.getattr(*name)).collect::<PyResult<Vec<_>>>()?;
-    PyTuple::new(object.py(), values)
-}
-
 /// Finds the poses of many clouds that overlap in part, without initial poses.
 ///
 /// `clouds` is a sequence of 2 to 500 clouds (N, 3) in the forms of `detect` and in the same units. Pairs with similar
@@ -142,20 +117,28 @@ fn attributes<'py, const N: usize>(object: &Bound<'py, PyAny>, names: [&str; N])
 ///
 #[doc = include_str!("help/align.txt")]
 ///
-/// Raises ValueError for invalid arrays or values, TypeError for an unknown option.
+/// Each of the `notes`, and clouds in several parts, give a UserWarning. `deadline` and `progress` are those of `detect`. Raises
+/// ValueError for invalid arrays or values, TypeError for an unknown option.
 #[pyfunction]
-#[pyo3(signature = (clouds, model=None, *, viewpoints=None, initial_poses=None, **options))]
+#[pyo3(signature = (clouds, model=None, *, viewpoints=None, initial_poses=None, deadline=None, progress=None, **options))]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn align(
     py: Python<'_>,
     clouds: Vec<Bound<'_, PyAny>>,
     model: Option<&Bound<'_, PyAny>>,
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
     initial_poses: Option<Vec<Option<Bound<'_, PyAny>>>>,
+    deadline: Option<f64>,
+    progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
+    let watch = Watch::new(deadline, progress)?;
     let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
-    let read = clouds.iter().map(|cloud| Ok(arrays::cloud("clouds", cloud)?.0));
-    let clouds: Vec<snake_core::Cloud> = read.collect::<PyResult<_>>()?;
+    let read = clouds.iter().map(|cloud| {
+        let (cloud, _, notes) = arrays::cloud_with_notes("clouds", cloud)?;
+        Ok((cloud, notes))
+    });
+    let (clouds, read): (Vec<snake_core::Cloud>, Vec<_>) = read.collect::<PyResult<Vec<_>>>()?.into_iter().unzip();
     let model = model::for_registration(py, model, &options, clouds.first())?;
     let pose = |pose: Option<Bound<'_, PyAny>>| pose.map(|pose| arrays::transform("initial_poses", &pose)).transpose();
     let initial_poses = initial_poses.into_iter().flatten().map(pose).collect::<PyResult<_>>()?;
@@ -165,10 +148,11 @@ pub fn align(
         .with_initial_poses(initial_poses);
     known.place(&mut options, &origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
-    let near = threads::run_with_signals(py, |control| {
+    let near = threads::run_watched(py, watch, |control| {
         core::align_with(&points, &known, model.as_ref(), &options, &align_options, control)
     })?;
-    let alignment = near.between_origins(&origins);
+    warn(py, near.warning().iter().chain(&near.notes))?;
+    let alignment = near.between_origins(&origins).with_notes_on_clouds(&read);
     let edge = |edge: &core::Edge| {
         let t_target_source = matrix(py, edge.t_target_source.to_matrix())?;
         let information = matrix(py, edge.information)?;

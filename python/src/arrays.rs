@@ -87,11 +87,11 @@ impl Positions {
 /// `vertices`. Masked rows become NaN. The conversion of numpy handles types, strides, byte order and alignment.
 pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'py>> {
     let (py, numpy) = (value.py(), value.py().import("numpy")?);
-    let given = as_array(&numpy, what, value)?;
+    let given = with_rows(as_array(&numpy, what, value)?)?;
     let array = given.cast::<PyUntypedArray>()?;
     let refused = |why: &str| -> PyResult<PyErr> {
         let shape = array.getattr("shape")?;
-        let needed = "expected real numbers of shape (N, 3) or more columns, found";
+        let needed = "expected real numbers of shape (N, 3) or (H, W, 3) or more columns, found";
         Ok(PyValueError::new_err(format!("{what}: {needed} {} of shape {shape}{why}", array.dtype())))
     };
     let (kind, size) = (array.dtype().kind(), array.dtype().itemsize());
@@ -103,7 +103,7 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
         return Err(refused("")?);
     }
     if let &[rows @ (3 | 4), columns] = array.shape()
-        && columns > 16
+        && columns > MAX_COLUMNS
     {
         return Err(refused(&format!(": a point is a row, so transpose {columns} points in {rows} rows"))?);
     }
@@ -122,6 +122,19 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     })
 }
 
+/// An organised array `(H, W, C)` as its rows `(H W, C)`, in the order of `reshape`. Other arrays stay as they are.
+fn with_rows(given: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
+    match *given.cast::<PyUntypedArray>()?.shape() {
+        [height, width, columns] if (3..=MAX_COLUMNS).contains(&columns) => {
+            given.call_method1("reshape", (height * width, columns))
+        }
+        _ => Ok(given),
+    }
+}
+
+/// The most columns that rows of points are believed to have; more are the points of a transposed array.
+const MAX_COLUMNS: usize = 16;
+
 /// A rigid transform (4, 4).
 pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
     let list = value.py().import("numpy")?.call_method1("asarray", (value,))?.call_method0("tolist")?;
@@ -139,12 +152,19 @@ pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
 
 /// The rows of an array, or the points of a file, as a cloud.
 pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
+    let (cloud, precision, _) = cloud_with_notes(what, value)?;
+    Ok((cloud, precision))
+}
+
+/// [`cloud`] with the notes on the file.
+pub fn cloud_with_notes(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision, Vec<String>)> {
     // A text is a path. Other values may convert to one only if they say so, as pathlib's do.
     if value.is_instance_of::<PyString>() || value.hasattr("__fspath__")? {
         let contents = files::contents(value.py(), value.extract()?, ReadOptions::default())?;
-        return Ok((contents.cloud, Precision::Double));
+        return Ok((contents.cloud, Precision::Double, contents.notes));
     }
-    given_rows(what, value)?.cloud()
+    let (cloud, precision) = given_rows(what, value)?.cloud()?;
+    Ok((cloud, precision, Vec::new()))
 }
 
 /// The items of a list or tuple of clouds; `None` for anything else, such as a list of rows.

@@ -22,7 +22,7 @@ fn responses<'py>(
 ) -> PyResult<Found<'py>> {
     let (py, (Cloud { points, .. }, _)) = (points.py(), arrays::cloud("points", points)?);
     let findings = FinitePoints::clean("points", &points, None).map_err(py_error)?.findings();
-    findings.iter().try_for_each(|text| warn(py, text))?;
+    warn(py, &findings)?;
     let responses: Vec<Response> = threads::run_with_signals(py, |control| detect(&points, control))?;
     let indices = responses.iter().map(|response| response.index as i64).collect();
     let scores = responses.iter().map(|response| response.score).collect();

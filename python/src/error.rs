@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use pyo3::PyErr;
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::{PyOSError, PyTimeoutError, PyValueError};
 use snake_core::{Error, shortened, shortened_value};
 
 /// A ValueError with a text of bounded length.
@@ -12,10 +12,11 @@ pub fn value_error(text: &str) -> PyErr {
 }
 
 /// The exception for an error of the core. `Io` becomes an OSError with errno and file name, which gives
-/// FileNotFoundError and similar subclasses. Any other error becomes a ValueError.
+/// FileNotFoundError and similar subclasses, a missed deadline a TimeoutError. Any other error becomes a ValueError.
 pub fn py_error(error: impl Into<Error>) -> PyErr {
     match error.into() {
         Error::Io { path, source } => os_error(path, &source),
+        Error::DeadlineExceeded => PyTimeoutError::new_err(Error::DeadlineExceeded.to_string()),
         other => value_error(&other.to_string()),
     }
 }

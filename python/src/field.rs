@@ -9,7 +9,7 @@ use snake_core::{self as core, Point};
 use crate::arrays::{Positions, Precision};
 use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
-use crate::{arrays, options, threads};
+use crate::{arrays, options, threads, warn};
 
 /// Queries between two looks at signals: some hundredths of a second.
 const QUERIES_PER_PART: usize = 1 << 14;
@@ -59,11 +59,6 @@ impl Field {
         })
     }
 
-    /// The parts of the cloud that were left out, each in a sentence.
-    pub fn findings(&self) -> Vec<String> {
-        self.core.findings()
-    }
-
     /// The cloud as it was given: points that were skipped are NaN.
     fn given_points(&self) -> Vec<Point> {
         let mut given = vec![[f32::NAN; 3]; self.core.points().len() + self.core.num_skipped()];
@@ -111,6 +106,12 @@ impl Field {
 
 #[pymethods]
 impl Field {
+    /// The parts of the cloud that were left out, a list of sentences.
+    #[getter]
+    pub fn notes(&self) -> Vec<String> {
+        self.core.findings()
+    }
+
     /// Occupancy of each query, the probability that it lies on the surface: (Q,) float32.
     fn occupancy<'py>(&self, queries: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f32>>> {
         self.values(queries, core::Field::occupancy)
@@ -170,7 +171,10 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
         let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
-        let source = (Some(self.model_name.clone()), self.findings());
+        let note = detection.note();
+        warn(py, &note)?;
+        let notes = self.notes().into_iter().chain(note).collect();
+        let source = (Some(self.model_name.clone()), notes);
         Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 
@@ -185,9 +189,7 @@ impl Field {
     fn mesh(&self, py: Python<'_>, options: Option<&Bound<PyDict>>) -> PyResult<Mesh> {
         let options: core::MeshOptions = options::of("mesh", options)?;
         let mesh = threads::run_with_signals(py, |control| self.core.mesh_with(&options, control))?;
-        if let Some(hint) = mesh.shell_hint() {
-            py.import("warnings")?.call_method1("warn", (hint,))?;
-        }
+        warn(py, mesh.notes())?;
         Mesh::from_core(py, mesh, self.origin, self.precision)
     }
 

@@ -18,21 +18,23 @@ use crate::files::contents;
 /// `sample` draws that many points from the surface, uniformly by area, and `seed` determines the draw. Without
 /// `sample`, a mesh gives its vertices and a UserWarning. For text and numpy arrays, `columns` selects x, y and z:
 /// three names in the header, or numbers from 1 as for `--columns`. The default is x, y and z of the header, or without a header the first
-/// three columns. Points that are not finite are kept. Coordinates keep about 7 digits relative to the cloud's size.
+/// three columns. Points that are not finite are kept. Points that a LAS or LAZ file marks as withheld or classifies as noise (7 and
+/// 18) are NaN, unless `keep_withheld` is set. Coordinates keep about 7 digits relative to the cloud's size.
 /// Raises OSError when the file cannot be read. Raises ValueError when the content does not match the extension, when
 /// the columns are ambiguous, or when there is no surface to sample.
 #[pyfunction]
-#[pyo3(signature = (path, sample=None, seed=0, columns=None))]
+#[pyo3(signature = (path, sample=None, seed=0, columns=None, keep_withheld=false))]
 pub fn read_points(
     py: Python<'_>,
     path: PathBuf,
     sample: Option<usize>,
     seed: u64,
     columns: Option<[ColumnLike; 3]>,
+    keep_withheld: bool,
 ) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let columns = columns.map(chosen).transpose()?;
-    let Cloud { points, origin } =
-        contents(py, path, ReadOptions::default().with_sample(sample).with_seed(seed).with_columns(columns))?.cloud;
+    let options = ReadOptions::default().with_sample(sample).with_seed(seed).with_columns(columns);
+    let Cloud { points, origin } = contents(py, path, options.with_keep_withheld(keep_withheld))?.cloud;
     arrays::rows(py, points.iter().flat_map(|&point| add_origin(point, origin)).collect(), 3)
 }
 

@@ -8,12 +8,12 @@ use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
 use snake_core::{self as core, Chosen, Cloud, Counts, Detection, Point};
-use snake_io::{KeypointSource, write_keypoints};
+use snake_io::{KeypointSource, adds_origin, origin_note, write_keypoints};
 use snake_registration::{FPFH_DIMENSION, describe_keypoints};
 
 use crate::arrays::{self, Positions, Precision};
 use crate::error::file_error;
-use crate::threads;
+use crate::{threads, warn};
 
 /// One keypoint. It can be pickled.
 #[pyclass(frozen, get_all, module = "snake_rs")]
@@ -100,14 +100,22 @@ impl Keypoints {
     pub fn chosen(
         py: Python<'_>,
         detection: Detection,
-        notes: Vec<String>,
+        mut notes: Vec<String>,
         chosen: &Chosen,
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
+        let note = detection.note();
+        warn(py, &note)?;
+        notes.extend(note);
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
         let source = (Some(chosen.name.clone()), notes);
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)
+    }
+
+    /// The name of the model that found them, if it is known.
+    pub fn model(&self) -> Option<&str> {
+        self.model.as_deref()
     }
 
     /// Converts the core's result to arrays and dicts.
@@ -243,7 +251,8 @@ impl Keypoints {
     }
 
     /// Writes the keypoints to a file; the extension determines the format: ply, pcd, npy, csv, json, keypointnet.json or laz.
-    /// The file is written whole or not at all. Raises OSError when it cannot be written and ValueError for another extension.
+    /// The file is written whole or not at all. Coordinates far from zero in a pcd file are relative to an origin that a UserWarning
+    /// names, because other readers take only seven digits. Raises OSError when it cannot be written and ValueError for another extension.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let (cloud, _) = arrays::cloud("points", &self.points.bind(py))?;
         let (saliency, occupancy) = (self.saliency.bind(py).try_readonly()?, self.occupancy.bind(py).try_readonly()?);
@@ -261,7 +270,8 @@ impl Keypoints {
         });
         let keypoints: Vec<core::Keypoint> = keypoints.collect();
         let source = KeypointSource::new(&path, cloud.origin);
-        py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(file_error)
+        py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(file_error)?;
+        warn(py, origin_note(adds_origin(&path), cloud.origin))
     }
 
     /// The positions, for `numpy.asarray`.

@@ -8,12 +8,14 @@ mod command;
 mod error;
 mod field;
 mod files;
+mod frames;
 mod io;
 mod keypoints;
 mod mesh;
 mod model;
 mod options;
 mod page;
+mod part;
 mod recording;
 mod registration;
 mod remote;
@@ -22,6 +24,7 @@ mod threads;
 mod tiled;
 
 use numpy::{PyArray2, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_core::{Chooser, Chosen, Cloud, Error, parallel_map};
@@ -30,13 +33,14 @@ use snake_registration::{FPFH_DIMENSION, mutual_nearest};
 use alignment::{Alignment, AlignmentEdge, align};
 use arrays::Precision;
 use field::Field;
+use frames::FrameDetector;
 use io::read_points;
 use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use recording::{RecordedCloud, Recording, read_recording};
 use registration::{CloudReport, Fit, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register};
-use threads::{get_num_threads, set_num_threads};
+use threads::{Watch, get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
 /// Detects the keypoints of a cloud in one call: `model.encode(points).detect()`. `model` is a `Model`, the name of a
@@ -45,7 +49,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// "scenes" for a cloud that looks like a room, a sweep or terrain, and "compact" for others. `Keypoints.model` says which.
 ///
 /// `points` (N, 3) are real numbers; additional columns are ignored. They can be a numpy array, a structured array with the
-/// fields x, y and z, a frame of pandas or polars or an Arrow table with such columns, a torch tensor or any other value with DLPack,
+/// fields x, y and z, an organised array (H, W, 3), whose `nearest_index` is that of the array of all H W rows, a frame of pandas or polars or an Arrow table with such columns, a torch tensor or any other value with DLPack,
 /// an Open3D cloud or mesh (also of `open3d.t`), a trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
 /// a file is read as by `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an
 /// origin, so that georeferenced scans in float64 keep their digits. Positions are returned as float32 if the points are
@@ -59,31 +63,37 @@ use tiled::{DetectedTiles, Tiles, tiles};
 #[doc = include_str!("help/detect.txt")]
 #[doc = include_str!("help/preset.txt")]
 ///
+/// The call raises TimeoutError when it has not ended after `deadline` seconds. `progress` is called with the name of a stage, the
+/// completed and all units of its work, at most every 20 ms; what it raises ends the call.
+///
 /// A UserWarning says if the cloud has outliers, is far from the scale that model and options are for, or if an option gave it
-/// another model than it would have without it. These texts are also in `Keypoints.notes`. Raises ValueError for an
+/// another model than it would have without it, if there are no keypoints, and what the file says of its points. These texts are also in `Keypoints.notes`. Raises ValueError for an
 /// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.
 ///
 /// A list or tuple of clouds gives a list of `Keypoints`, in its order. The clouds are detected side by side on all cores; an
 /// error names the cloud by its index.
 #[pyfunction]
-#[pyo3(signature = (points, model=None, **options))]
+#[pyo3(signature = (points, model=None, *, deadline=None, progress=None, **options))]
 fn detect(
     py: Python<'_>,
     points: &Bound<'_, PyAny>,
     model: Option<&Bound<'_, PyAny>>,
+    deadline: Option<f64>,
+    progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Py<PyAny>> {
+    let watch = Watch::new(deadline, progress)?;
     let values = options::values("detect", &options::ALL, options)?;
     let chooser = model::chooser(py, model, &values)?;
     if let Some(clouds) = arrays::list_of_clouds(points)? {
-        return Ok(detect_all(py, &clouds, &chooser)?.into_pyobject(py)?.into_any().unbind());
+        return Ok(detect_all(py, &clouds, &chooser, watch)?.into_pyobject(py)?.into_any().unbind());
     }
-    let (cloud, precision) = arrays::cloud("points", points)?;
+    let (cloud, precision, mut notes) = arrays::cloud_with_notes("points", points)?;
     let chosen = threads::run(py, || chooser.for_cloud(&cloud))?;
     // Before the detection, which may take minutes at the wrong scale.
-    let notes = chosen.notes();
-    notes.iter().try_for_each(|note| warn(py, note))?;
-    let detection = threads::run_with_signals(py, |control| chosen.detect(control))?;
+    warn(py, &chosen.notes())?;
+    notes.extend(chosen.notes());
+    let detection = threads::run_watched(py, watch, |control| chosen.detect(control))?;
     let keypoints = Keypoints::chosen(py, detection, notes, &chosen, &cloud, precision)?;
     Ok(Bound::new(py, keypoints)?.into_any().unbind())
 }
@@ -97,46 +107,59 @@ fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
 }
 
 /// The keypoints of several clouds.
-fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], chooser: &Chooser) -> PyResult<Vec<Keypoints>> {
-    let mut clouds: Vec<(Cloud, Precision)> = Vec::with_capacity(given.len());
+fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], chooser: &Chooser, watch: Watch) -> PyResult<Vec<Keypoints>> {
+    let mut clouds: Vec<(Cloud, Precision, Vec<String>)> = Vec::with_capacity(given.len());
     for (index, value) in given.iter().enumerate() {
-        clouds.push(arrays::cloud(&format!("points[{index}]"), value)?);
+        clouds.push(arrays::cloud_with_notes(&format!("points[{index}]"), value)?);
     }
     let named = |index: usize, error: Error| match error {
         Error::Input { reason, .. } => Error::Input { what: "points", reason: format!("[{index}]: {reason}") },
         other => other,
     };
     let mut chosen: Vec<(Chosen, Vec<String>)> = Vec::with_capacity(given.len());
-    for (index, (cloud, _)) in clouds.iter().enumerate() {
+    for (index, (cloud, _, read)) in clouds.iter().enumerate() {
         let choice = threads::run(py, || chooser.for_cloud(cloud).map_err(|error| named(index, error)))?;
-        let notes = choice.notes();
-        notes.iter().try_for_each(|note| warn(py, &format!("points[{index}]: {note}")))?;
+        warn(py, choice.notes().iter().map(|note| format!("points[{index}]: {note}")))?;
+        let notes = read.iter().cloned().chain(choice.notes()).collect();
         chosen.push((choice, notes));
     }
-    let detections = threads::run_with_signals(py, |control| {
-        let control = control.without_progress();
-        parallel_map(chosen.len(), |index| chosen[index].0.detect(&control).map_err(|error| named(index, error)))
+    let detections = threads::run_watched(py, watch, |control| {
+        let (counter, control) = (control.begin("clouds", chosen.len()), control.without_progress());
+        parallel_map(chosen.len(), |index| {
+            let detection = chosen[index].0.detect(&control).map_err(|error| named(index, error));
+            counter.add(1);
+            detection
+        })
     })?;
-    let keypoints = |((detection, (chosen, notes)), (cloud, precision)): ((_, (Chosen, _)), &(Cloud, _))| {
+    let keypoints = |((detection, (chosen, notes)), (cloud, precision, _)): ((_, (Chosen, _)), &(Cloud, _, _))| {
         Keypoints::chosen(py, detection, notes, &chosen, cloud, *precision)
     };
     detections.into_iter().zip(chosen).zip(&clouds).map(keypoints).collect()
 }
 
-/// Gives a UserWarning.
-fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
-    py.import("warnings")?.call_method1("warn", (text,)).map(drop)
+/// Gives a UserWarning of each text.
+fn warn(py: Python<'_>, texts: impl IntoIterator<Item = impl AsRef<str>>) -> PyResult<()> {
+    let module = py.import("warnings")?;
+    texts.into_iter().try_for_each(|text| module.call_method1("warn", (text.as_ref(),)).map(drop))
 }
 
 /// Matches the keypoints of two clouds: (M, 2) int64, rows `[index in a, index in b]` of keypoints each of whose `descriptors`
 /// is the nearest to the other's, by rising index in a. Some are wrong: `register` finds the transform that many agree with.
-/// Raises ValueError as `Keypoints.descriptors` does.
+/// Raises ValueError for keypoints of two models, which lie at other places of a cloud, and as `Keypoints.descriptors` does.
 #[pyfunction(name = "match")]
 fn match_keypoints<'py>(
     py: Python<'py>,
     a: &Bound<'py, Keypoints>,
     b: &Bound<'py, Keypoints>,
 ) -> PyResult<Bound<'py, PyArray2<i64>>> {
+    if let [Some(first), Some(second)] = [a, b].map(|keypoints| keypoints.get().model())
+        && first != second
+    {
+        let reason = format!(
+            "match: the keypoints are of two models, {first} and {second}, which find other places; detect both with one `model`"
+        );
+        return Err(PyValueError::new_err(reason));
+    }
     let rows = |keypoints: &Bound<'py, Keypoints>| -> PyResult<Vec<f32>> {
         Ok(keypoints.get().descriptors(py)?.bind(py).try_readonly()?.as_slice()?.to_vec())
     };
@@ -159,9 +182,10 @@ mod _core {
     use super::steps::{aggregate, decode, interpolate, interpolate_gradient, refine, suppress};
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, Keypoint, Keypoints, Matches, Mesh, Model,
-        PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect, estimate_normals, fpfh,
-        get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs, set_num_threads, tiles,
+        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, FrameDetector, Keypoint, Keypoints, Matches,
+        Mesh, Model, PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect,
+        estimate_normals, fpfh, get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs,
+        set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child

@@ -15,12 +15,16 @@ pub struct Mesh {
     normals: Py<PyArray2<f32>>,
     /// Vertex indices (T, 3) uint32, counterclockwise when seen from outside.
     triangles: Py<PyArray2<u32>>,
+    /// Notes on it, a list of sentences: that it is empty, or that its shell is open.
+    notes: Vec<String>,
 }
 
 impl Mesh {
     /// Converts the core's mesh to arrays.
     pub fn from_core(py: Python<'_>, mesh: snake_core::Mesh, origin: [f64; 3], precision: Precision) -> PyResult<Self> {
+        let notes = mesh.notes();
         Ok(Self {
+            notes,
             vertices: Positions::new(py, &mesh.vertices, origin, precision)?,
             normals: arrays::rows(py, mesh.normals.into_flattened(), 3)?.unbind(),
             triangles: arrays::rows(py, mesh.triangles.into_flattened(), 3)?.unbind(),
@@ -31,12 +35,13 @@ impl Mesh {
 #[pymethods]
 impl Mesh {
     #[new]
-    fn new(vertices: Positions, normals: Py<PyArray2<f32>>, triangles: Py<PyArray2<u32>>) -> Self {
-        Self { vertices, normals, triangles }
+    #[pyo3(signature = (vertices, normals, triangles, notes=vec![]))]
+    fn new(vertices: Positions, normals: Py<PyArray2<f32>>, triangles: Py<PyArray2<u32>>, notes: Vec<String>) -> Self {
+        Self { vertices, normals, triangles, notes }
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        (&self.vertices, &self.normals, &self.triangles).into_pyobject(py)
+        (&self.vertices, &self.normals, &self.triangles, &self.notes).into_pyobject(py)
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {

@@ -212,7 +212,7 @@ impl Model {
         let (cloud, precision) = arrays::cloud("points", points)?;
         let cloud = cloud.for_normalization(preset.encode.normalization);
         let field = Field::new(slf, named, &cloud, preset.encode, precision)?;
-        field.findings().iter().try_for_each(|text| warn(slf.py(), text))?;
+        warn(slf.py(), field.notes())?;
         Ok(field)
     }
 

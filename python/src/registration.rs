@@ -8,15 +8,17 @@ use snake_core::Cloud;
 use snake_registration as core;
 
 use crate::model;
-use crate::{arrays, options, threads};
+use crate::part::part;
+use crate::threads::{self, Watch};
+use crate::{arrays, options, warn};
 
 /// A rigid transform between two clouds, with a verdict and figures of its quality. It can be pickled.
 #[pyclass(frozen, module = "snake_rs")]
 pub struct Registration(core::Registration);
 
+part! {
 /// Whether a transform can be relied on, with the evidence beside `fit` and `matches`.
-#[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct Verdict {
+Verdict {
     /// How likely the transform is right, in [0, 1].
     confidence: f64,
     /// Whether the transform can be relied on: `confidence` is at least 0.5.
@@ -34,10 +36,11 @@ pub struct Verdict {
     /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
     free_space_violation: f64,
 }
+}
 
+part! {
 /// How well two clouds fit under a transform.
-#[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct Fit {
+Fit {
     /// Share of the source's voxels within `inlier_distance` of the target's, in [0, 1].
     fitness: f64,
     /// Root mean square distance of these voxels to the target's, in cloud units.
@@ -49,10 +52,11 @@ pub struct Fit {
     /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
     information: Py<PyArray2<f64>>,
 }
+}
 
+part! {
 /// The matches of keypoints, and how many agree with a transform.
-#[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct Matches {
+Matches {
     /// Number of matches.
     num_matches: usize,
     /// Number of matches that the transform brings within the inlier distance before ICP.
@@ -66,18 +70,20 @@ pub struct Matches {
     /// Standard deviation of the matches that agree in the direction in which they are spread least, in cloud units.
     spread: f64,
 }
+}
 
+part! {
 /// The used part of a cloud.
-#[pyclass(frozen, get_all, module = "snake_rs")]
-pub struct CloudReport {
+CloudReport {
     /// Viewpoint that gave the normals their signs: "given", "origin" or "none".
-    viewpoint: &'static str,
+    viewpoint: String,
     /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
     num_skipped: usize,
 }
+}
 
 impl Verdict {
-    fn new(verdict: &core::Verdict) -> Self {
+    fn from_core(verdict: &core::Verdict) -> Self {
         Self {
             confidence: verdict.confidence,
             is_reliable: verdict.is_reliable,
@@ -92,7 +98,7 @@ impl Verdict {
 }
 
 impl Fit {
-    fn new(py: Python<'_>, fit: &core::Fit) -> PyResult<Self> {
+    fn from_core(py: Python<'_>, fit: &core::Fit) -> PyResult<Self> {
         let core::Fit { fitness, rmse, inlier_distance, voxel_size, information, .. } = *fit;
         Ok(Self { fitness, rmse, inlier_distance, voxel_size, information: matrix(py, information)? })
     }
@@ -128,13 +134,13 @@ impl Registration {
     /// Whether the transform can be relied on, and why or why not.
     #[getter]
     fn verdict(&self) -> Verdict {
-        Verdict::new(&self.0.verdict)
+        Verdict::from_core(&self.0.verdict)
     }
 
     /// How well the clouds fit under the transform.
     #[getter]
     fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
-        Fit::new(py, &self.0.fit)
+        Fit::from_core(py, &self.0.fit)
     }
 
     /// The matches of keypoints, and how many agree with the transform.
@@ -149,7 +155,7 @@ impl Registration {
     #[getter]
     fn clouds(&self) -> (CloudReport, CloudReport) {
         let report = |cloud: &core::CloudReport| CloudReport {
-            viewpoint: cloud.viewpoint.name(),
+            viewpoint: cloud.viewpoint.name().into(),
             num_skipped: cloud.num_skipped,
         };
         let [source, target] = &self.0.clouds;
@@ -187,7 +193,8 @@ impl Registration {
 /// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
 /// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `verdict` says whether
 /// to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
-/// built-in one that suits the target, as in `detect`); no other loads one.
+/// built-in one that suits the target, as in `detect`); no other loads one. A transform that is not reliable and each of the
+/// verdict's notes give a UserWarning. `deadline` and `progress` are those of `detect`.
 ///
 /// Raises ValueError for invalid arrays or values and when no transform fits, TypeError for an unknown option. Lengths are in
 /// cloud units, or text such as "3r" in multiples of the coarser cloud's mean distance between nearest points. The options
@@ -195,22 +202,28 @@ impl Registration {
 ///
 #[doc = include_str!("help/register.txt")]
 #[pyfunction]
-#[pyo3(signature = (source, target, model=None, **options))]
+#[pyo3(signature = (source, target, model=None, *, deadline=None, progress=None, **options))]
 pub fn register(
     py: Python<'_>,
     source: &Bound<'_, PyAny>,
     target: &Bound<'_, PyAny>,
     model: Option<&Bound<'_, PyAny>>,
+    deadline: Option<f64>,
+    progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
+    let watch = Watch::new(deadline, progress)?;
     let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
-    let ((source, _), (target, _)) = (arrays::cloud("source", source)?, arrays::cloud("target", target)?);
+    let (source, _, from_source) = arrays::cloud_with_notes("source", source)?;
+    let (target, _, from_target) = arrays::cloud_with_notes("target", target)?;
     let model = model::for_registration(py, model, &options, Some(&target))?;
     pair.place(&mut options, source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
-    let near = threads::run_with_signals(py, |control| {
+    let near = threads::run_watched(py, watch, |control| {
         core::register_with(from, to, model.as_ref(), &options, &pair, control)
     })?;
+    warn(py, near.verdict.warning().iter().chain(&near.verdict.notes))?;
+    let near = near.with_notes_on_clouds([&from_source, &from_target]);
     Ok(Registration(near.between_origins(source.origin, target.origin)))
 }
 
@@ -271,6 +284,7 @@ impl PreparedMap {
         let pair: core::PairOptions = options::of("PreparedMap.register", options)?;
         let (scan, _) = arrays::cloud("source", source)?;
         let registration = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
+        warn(source.py(), registration.verdict.warning().iter().chain(&registration.verdict.notes))?;
         Ok(Registration(registration))
     }
 

@@ -4,12 +4,12 @@
 use std::mem::forget;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use snake_core::{CancelFlag, Control, Result, SimdLevel, check_num_threads};
+use snake_core::{CancelFlag, Control, Progress, Result, SimdLevel, check_num_threads};
 
 use crate::error::py_error;
 
@@ -56,12 +56,55 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
 /// Interval at which a call checks for signals: Ctrl-C must end the call within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Like [`run`], for long work that can be cancelled. Python runs signal handlers only in its main thread and only
-/// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An
-/// exception from a handler, such as KeyboardInterrupt, cancels the work and is raised when the work has stopped.
+/// What a caller asked for beside the result: when the call ends at the latest, and to be told of its progress.
+#[derive(Default)]
+pub struct Watch {
+    deadline: Option<Instant>,
+    /// Called with the name of the stage, the completed and all units of its work.
+    progress: Option<Py<PyAny>>,
+}
+
+impl Watch {
+    /// `deadline` is in seconds from now.
+    pub fn new(deadline: Option<f64>, progress: Option<Py<PyAny>>) -> PyResult<Self> {
+        let after =
+            |seconds| Duration::try_from_secs_f64(seconds).ok().and_then(|time| Instant::now().checked_add(time));
+        let refused = || PyValueError::new_err("deadline: expected a number of seconds, 0 or more");
+        let deadline = deadline.map(|seconds| after(seconds).ok_or_else(refused)).transpose()?;
+        Ok(Self { deadline, progress })
+    }
+}
+
+/// Like [`run`], for long work that can be cancelled, see [`run_watched`].
 pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> Result<T> + Send) -> PyResult<T> {
-    let (pool, flag) = (pool(py)?, CancelFlag::default());
-    let control = Control::new().cancel(&flag);
+    run_watched(py, Watch::default(), work)
+}
+
+/// Like [`run`], for long work that can be cancelled and watched. Python runs signal handlers only in its main thread and only
+/// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An
+/// exception from a handler, such as KeyboardInterrupt, cancels the work and is raised when the work has stopped. Progress is
+/// told at the same times, and at the end.
+pub fn run_watched<T: Send>(
+    py: Python<'_>,
+    watch: Watch,
+    work: impl FnOnce(&Control) -> Result<T> + Send,
+) -> PyResult<T> {
+    let (pool, flag, stages) = (pool(py)?, CancelFlag::default(), Progress::default());
+    let control = Control::new().cancel(&flag).progress(&stages);
+    let control = match watch.deadline {
+        Some(deadline) => control.deadline(deadline),
+        None => control,
+    };
+    let mut told = None;
+    let mut tell = |py: Python<'_>| -> PyResult<()> {
+        let stage = stages.stage().map(|stage| (stage.name, stage.done, stage.total));
+        if let (Some(progress), Some(stage)) = (&watch.progress, stage)
+            && told.replace(stage) != Some(stage)
+        {
+            progress.call1(py, stage)?;
+        }
+        Ok(())
+    };
     py.detach(|| {
         let (done, result) = channel();
         pool.in_place_scope(|scope| {
@@ -69,9 +112,14 @@ pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> 
             let mut raised = None;
             loop {
                 match result.recv_timeout(SIGNAL_INTERVAL) {
-                    Ok(result) => return raised.map_or_else(|| result.map_err(py_error), Err),
+                    Ok(result) => {
+                        if result.is_ok() && raised.is_none() {
+                            raised = Python::attach(&mut tell).err();
+                        }
+                        return raised.map_or_else(|| result.map_err(py_error), Err);
+                    }
                     Err(RecvTimeoutError::Timeout) if raised.is_none() => {
-                        raised = Python::attach(|py| py.check_signals()).err();
+                        raised = Python::attach(|py| py.check_signals().and_then(|()| tell(py))).err();
                         if raised.is_some() {
                             flag.cancel();
                         }

@@ -4,6 +4,7 @@ import argparse
 import hashlib
 import json
 import re
+import shutil
 import sys
 from contextlib import contextmanager
 from pathlib import Path, PosixPath, PurePosixPath
@@ -21,10 +22,12 @@ from .scene_model import SceneConfig, SceneNetwork
 
 @contextmanager
 def replacing(path):
-    """A temporary name for a file that replaces `path` once it is whole."""
+    """A temporary name for a file that replaces `path` once it is whole, with its mode."""
     temporary = Path(f"{path}.partial")
     try:
         yield temporary
+        if Path(path).exists():
+            shutil.copymode(path, temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

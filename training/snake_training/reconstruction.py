@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
 from .arguments import DATA, MODEL, option, parser_of
 from .augment import choose, normalize
 from .data import open_shapes
+from .progress import bar
 
 F_DISTANCES = 0.02, 0.05
 FIGURES = "accuracy", "completeness", *(f"F {distance}" for distance in F_DISTANCES)
@@ -98,7 +98,7 @@ def view(shape, num_points, downsample, noise, rng):
 def measure(shapes, methods, conditions, num_points):
     """The means of FIGURES over the shapes that have them, by method and condition (downsample, noise)."""
     rows = {(name, condition): [] for name in methods for condition in conditions}
-    for index in tqdm(range(len(shapes)), unit="shape", disable=None):
+    for index in bar(range(len(shapes)), unit="shape"):
         truth = 2 * normalize(shapes[index])[0].astype(np.float64)
         for condition in conditions:
             points = view(truth, num_points, *condition, np.random.default_rng(index))

@@ -10,7 +10,6 @@ Of several networks the target is the highest: one student learns the keypoints 
 """
 
 import json
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +17,6 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 from torch.utils.data import DataLoader, Dataset
-from tqdm import tqdm
 
 from .arguments import option, parser_of
 from .augment import BOUND, choose, normalize, random_rotation
@@ -26,6 +24,7 @@ from .config import setting
 from .data import Mixture, Procedural, open_all
 from .device import has_fast_bfloat16
 from .export import load_network, replacing
+from .progress import bar
 
 QUANTUM = 1 / 32767  # of stored coordinates, which lie within +-0.5625
 FORMAT = {"format": "snake-targets", "format_version": "3"}
@@ -189,8 +188,7 @@ def write_targets(path, teachers, shapes, settings, workers=0):
     scales = scales_of(settings, len(teachers))
     sees_surface = False
     drawn = DataLoader(Draws(shapes, settings), batch_size=None, num_workers=workers, collate_fn=tuple)
-    bar = tqdm(drawn, unit="shape", mininterval=2 if sys.stderr.isatty() else 60)
-    for row, (cloud, queries, clouds, rotations) in enumerate(bar):
+    for row, (cloud, queries, clouds, rotations) in enumerate(bar(drawn, unit="shape")):
         fields = [averaged_fields(teacher, clouds, queries, rotations) for teacher in teachers]
         sees_surface |= any((occupancy > 0.5).any() for _, occupancy in fields)
         stored["points"][row], stored["queries"][row] = ((a / QUANTUM).round() for a in (cloud, queries))

@@ -26,6 +26,7 @@ from .data import CloudError
 from .device import choose_device, has_fast_unet, why_no_bfloat16
 from .export import config_of, network_of, read_state, replacing
 from .losses import loss_options, losses_of
+from .progress import bar
 from .scene_model import SceneNetwork
 from .tasks.objects import Objects
 
@@ -206,10 +207,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "config.json").write_text(to_json(settings))
         log = open_log(folder)
-    bar = tqdm(
-        total=settings.steps, initial=state.step, disable=rank != 0, unit="step",
-        mininterval=2 if sys.stderr.isatty() else 60,
-    )  # fmt: skip
+    steps = bar(total=settings.steps, initial=state.step, disable=rank != 0, unit="step")
     running, spent = {}, False
     for batch in batches(task, state.step, settings.steps, rank, world, workers, device.type == "cuda"):
         for group in state.optimizer.param_groups:
@@ -224,7 +222,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         state.optimizer.step()
         update_average(state.average, state.network, settings.ema_decay, state.step)
         state.step += 1
-        bar.update()
+        steps.update()
         measured = losses | {"saturated": saturated, "gradient_norm": norm}
         values = torch.stack([value.detach() for value in measured.values()])
         spent = 0 < minutes <= (time.monotonic() - started) / 60
@@ -238,7 +236,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
         finished = spent or state.step == settings.steps
         if rank == 0:
             if state.step % 20 == 0 or finished:
-                bar.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
+                steps.set_postfix({k[:3]: f"{v:.3f}" for k, v in running.items()}, refresh=False)
                 write_scalars(log, "train", running, state.step)
             if state.step % settings.validate_every == 0 or (finished and not spent):
                 validate(state, device, autocast, log)
@@ -251,7 +249,7 @@ def run_until(task, folder, device, minutes, workers, pressed):
             )
         if spent:
             break
-    bar.close()
+    steps.close()
     if log:
         log.close()
     if world > 1:

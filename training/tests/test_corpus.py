@@ -157,7 +157,7 @@ def test_made_superquadrics_have_the_surface_of_the_list(tmp_path):
     assert [(fault, other) for _, fault, other in report] == [("", "")] * 6
 
 
-@pytest.mark.skipif(not SHARED.is_dir(), reason="needs the corpus itself, which is not public")
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the corpus of objects is not public: its entries are not compared")
 def test_the_list_is_that_of_the_corpus():
     entries = read_list()
     commits = {entry.source: entry.commit for entry in entries}

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from snake_training.config import to_json
-from snake_training.export import config_from_yaml, load_network, main, read_checkpoint, write_weights
+from snake_training.export import config_from_yaml, load_network, main, read_checkpoint, replacing, write_weights
 from snake_training.model import NetworkConfig, SnakeNetwork
 
 
@@ -258,3 +258,13 @@ def test_a_truncated_weight_file_is_refused(tmp_path, network):
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(ValueError, match=r"out\.safetensors"):
         load_network(path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="files have no mode")
+def test_a_replaced_file_keeps_its_mode(tmp_path):
+    path = tmp_path / "weights"
+    path.write_text("old")
+    path.chmod(0o600)
+    with replacing(path) as temporary:
+        temporary.write_text("new")
+    assert path.read_text() == "new" and path.stat().st_mode & 0o777 == 0o600

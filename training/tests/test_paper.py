@@ -167,6 +167,6 @@ def test_the_papers_figures_are_those_of_the_paper():
     """Where the paper lies beside the repository, each figure of the ablations stands in it."""
     text = FOLDER.parent / "shared/paper/snake_arxiv.tex.txt"
     if not text.exists():
-        pytest.skip(f"no {text}")
+        pytest.skip("the paper's text is not part of the repository: its figures are not compared")
     figures = {f"{cell.paper:g}" for item in ITEMS.values() for cell in item.cells if cell.paper}
     assert len(figures) > 20 and [figure for figure in figures if figure not in text.read_text()] == []

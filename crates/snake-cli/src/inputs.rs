@@ -2,7 +2,6 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Once;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -26,6 +25,9 @@ pub struct InputArguments {
     /// Sample this many points from the surface of a mesh, uniformly by area [default: the vertices of the mesh].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000_000))]
     pub sample: Option<u32>,
+    /// Keep the points of LAS and LAZ files that are withheld or classified as noise (7 and 18), which are left out otherwise.
+    #[arg(long)]
+    pub keep_withheld: bool,
     #[command(flatten)]
     pub columns: ColumnArguments,
 }
@@ -76,7 +78,13 @@ impl ColumnArguments {
 }
 
 impl InputArguments {
-    /// Reads a cloud. The seed is used by --sample. Warns once if the vertices of a mesh stand in for its surface.
+    /// How files are read. The seed is used by --sample.
+    pub fn options(&self, seed: u64) -> ReadOptions {
+        let sample = self.sample.map(|number| number as usize);
+        self.columns.options().with_sample(sample).with_seed(seed).with_keep_withheld(self.keep_withheld)
+    }
+
+    /// Reads a cloud. Notes on it are printed once a run.
     pub fn read(&self, path: &Path, seed: u64) -> Result<Cloud> {
         self.read_contents(path, seed).map(|contents| contents.cloud)
     }
@@ -96,34 +104,12 @@ impl InputArguments {
     /// [`InputArguments::read`] with what else the file says.
     pub fn read_contents(&self, path: &Path, seed: u64) -> Result<Contents> {
         let contents = self.contents(path, seed)?;
-        let Contents { cloud, unsampled_faces, dominant_face, .. } = &contents;
-        if *unsampled_faces > 0 {
-            Self::warn_of_faces(path, *unsampled_faces, cloud.points.len());
-        }
-        if let Some(share) = dominant_face {
-            let name = path.display();
-            let percent = 100.0 * share;
-            terminal::warn(&format!(
-                "{name}: one face holds {percent:.0} % of the mesh's surface, and so of the samples"
-            ));
-        }
+        terminal::hints_once(&path.display().to_string(), &contents.notes);
         Ok(contents)
     }
 
-    fn warn_of_faces(path: &Path, unsampled_faces: usize, vertices: usize) {
-        static WARNED: Once = Once::new();
-        let name = path.display();
-        WARNED.call_once(|| {
-            terminal::warn(&format!(
-                "{name} is a mesh of {unsampled_faces} faces: its {vertices} vertices are used; \
-                 --sample N draws N points from the surface"
-            ));
-        });
-    }
-
     fn contents(&self, path: &Path, seed: u64) -> Result<Contents> {
-        let sample = self.sample.map(|number| number as usize);
-        let options = self.columns.options().with_sample(sample).with_seed(seed);
+        let options = self.options(seed);
         if path == Path::new(DASH) {
             let mut bytes = Vec::new();
             std::io::stdin().lock().read_to_end(&mut bytes).context("cannot read the standard input")?;
@@ -143,18 +129,15 @@ impl InputArguments {
 }
 
 /// The offset that a reader has to add to the coordinates of a written file. It is zero if the format holds full
-/// coordinates. A format with four bytes a coordinate needs the origin; the function then prints a warning.
+/// coordinates; else the function prints a warning.
 pub fn output_origin(path: &Path, adds_origin: bool, origin: [f64; 3]) -> [f64; 3] {
-    if adds_origin || origin == [0.0; 3] {
-        return [0.0; 3];
+    match io::origin_note(adds_origin, origin) {
+        Some(note) => {
+            terminal::warn(&format!("{}: {note}", path.display()));
+            origin
+        }
+        None => [0.0; 3],
     }
-    let [x, y, z] = origin;
-    terminal::warn(&format!(
-        "{}: the coordinates are relative to the origin {x} {y} {z}, because this format holds about seven digits; add the \
-         origin to them, or write another format",
-        path.display()
-    ));
-    origin
 }
 
 /// Refuses to read the standard input twice.

@@ -45,9 +45,9 @@ fn locate(model: &Path) -> Result<PathBuf> {
     }
     let places: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
     bail!(
-        "no model `{}`: there is no {} in {}; copy it there from the folder models of snake-rs, or set SNAKE_MODELS to \
-         its folder",
+        "no model `{}`: built in are {}, and there is no {} in {}",
         model.display(),
+        Model::NAMES.join(", "),
         file.display(),
         places.join(", ")
     );

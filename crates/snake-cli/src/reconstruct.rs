@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde_json::json;
 use snake_core::{Control, MeshOptions, Progress, with_named_values};
-use snake_io as io;
+use snake_io::{self as io, Contents};
 
 use crate::flags::OptionFlags;
 use crate::inputs::{InputArguments, output_origin};
@@ -47,7 +47,7 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let bar = terminal::stages(&progress)?;
     bar.set_message(format!("{} ({} samples along each axis)", input.display(), options.resolution));
     let start = Instant::now();
-    let cloud = arguments.reading.read(input, chooser.seed())?;
+    let Contents { cloud, mut notes, .. } = arguments.reading.read_contents(input, chooser.seed())?;
     let name = input.display().to_string();
     let read = start.elapsed().as_secs_f64();
     let chosen = chooser.for_cloud(&cloud).with_context(|| name.clone())?;
@@ -55,8 +55,9 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     let field = chosen.encode(&control).with_context(|| name.clone())?;
     bar.suspend(|| {
         detail_of(&chosen);
-        terminal::hints(&name, &chosen.note);
-        terminal::hint_findings(&name, &field);
+        let more: Vec<String> = chosen.note.iter().cloned().chain(field.findings()).collect();
+        terminal::hints(&name, &more);
+        notes.extend(more);
     });
     let encoded = start.elapsed().as_secs_f64();
     let mesh = field.mesh_with(&options, &control)?;
@@ -66,10 +67,9 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
     bar.finish();
     let output_origin = output_origin(output, io::adds_origin(output), origin);
 
-    let hint = mesh.shell_hint();
-    if let Some(hint) = &hint {
-        terminal::hint(&format!("{}: {hint}", input.display()));
-    }
+    let more = mesh.notes();
+    terminal::hints(&name, &more);
+    notes.extend(more);
     let (vertices, triangles, area) = (mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     if arguments.json {
         return terminal::print_json(&json!({
@@ -82,19 +82,15 @@ pub fn run(arguments: &ReconstructArguments) -> Result<()> {
             "vertices": vertices,
             "triangles": triangles,
             "area": area,
-            "notes": hint.as_slice(),
+            "notes": notes,
             "timing_seconds": { "read": read, "encode": encoded - read, "mesh": meshed - encoded, "total": total },
         }));
     }
     let mut report = Report::default();
-    let name = input.display();
     let num_points = cloud.points.len();
     report.line(format!(
         "{name}: {vertices} vertices, {triangles} triangles, area {area:.5} from {num_points} points in {total:.3} s"
     ));
-    if triangles == 0 {
-        report.line("no surface: try a lower --level");
-    }
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)
 }

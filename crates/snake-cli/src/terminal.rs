@@ -3,10 +3,11 @@
 //! Text for people passes through [`printable`] line by line, so that file names, option values and the environment
 //! cannot control the terminal. A closed standard output or error never stops the work.
 
+use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::io::{self, Write};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -184,6 +185,16 @@ pub fn hint(text: &str) {
 /// Prints each piece of advice on a cloud.
 pub fn hints<'a>(name: &str, hints: impl IntoIterator<Item = &'a String>) {
     hints.into_iter().for_each(|text| hint(&format!("{name}: {text}")));
+}
+
+/// Prints pieces of advice that no other cloud of the run had, whatever their numbers.
+pub fn hints_once(name: &str, texts: &[String]) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let is_new = |text: &&String| {
+        let words = text.replace(|c: char| c.is_ascii_digit() || c == '.', "");
+        SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(words)
+    };
+    hints(name, texts.iter().filter(is_new));
 }
 
 /// Names what is wrong with a cloud, which its field leaves out.

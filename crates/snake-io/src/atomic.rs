@@ -47,6 +47,10 @@ fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -
     let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let (temporary, file) = Temporary::create_in(folder)?;
+    // A new file has the mode of the umask, a replaced one keeps its own, which may hide it from others.
+    if let Ok(replaced) = metadata(target) {
+        file.set_permissions(replaced.permissions())?;
+    }
     write_to(&file, fill)?;
     file.sync_all()?;
     temporary.rename(target)?;
@@ -140,6 +144,24 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         assert!((0..100).all(|number| fs::read_to_string(left(number)).unwrap() == "left"));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 101);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_replaced_file_keeps_its_mode_and_a_new_one_has_that_of_the_umask() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let [path, other] = ["written", "created"].map(|name| folder.path().join(name));
+        let mode = |path: &Path| metadata(path).unwrap().permissions().mode() & 0o777;
+        let write = || write_atomically(&path, |file| file.write_all(b"text"));
+        write().unwrap();
+        File::create(&other).unwrap();
+        assert_eq!(mode(&path), mode(&other));
+        for kept in [0o600, 0o640, 0o664, 0o444] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(kept)).unwrap();
+            write().unwrap();
+            assert_eq!(mode(&path), kept, "{kept:o}");
+        }
     }
 
     #[cfg(unix)]

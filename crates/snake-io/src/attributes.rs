@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use crate::clouds::{is_pipe, read_file};
 use crate::formats::PointFormat;
-use crate::formats::{pcd, ply, sweep};
+use crate::formats::{e57, pcd, ply, sweep};
 use crate::las;
 use crate::table::Table;
 use crate::{Error, Result, text};
@@ -31,16 +32,21 @@ const INTENSITIES: [[&str; 1]; 4] = [["intensity"], ["scalar_intensity"], ["refl
 /// Columns of PCD with a colour in the bits of a number.
 const PACKED: [[&str; 1]; 2] = [["rgb"], ["rgba"]];
 
-/// Reads the attributes of a file's points, in the order of the points. Files that cannot hold them have none, and what is
-/// damaged or has another number of values than there are points is left out.
+/// Reads the attributes of a file's points, in the order of the points. Files that cannot hold them have none, a pipe neither,
+/// and what is damaged or has another number of values than there are points is left out.
 ///
-/// PLY, PCD, text with a header, LAS, LAZ and the sweeps of KITTI and nuScenes are read.
+/// PLY, PCD, text with a header, LAS, LAZ, E57 and the sweeps of KITTI and nuScenes are read.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not known.
 pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usize) -> Result<Attributes> {
-    let format = format.map_or_else(|| PointFormat::from_path(path), Ok)?;
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    if is_pipe(path) {
+        return Ok(Attributes::default());
+    }
+    let (format, bytes) = match format {
+        Some(format) => (format, std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?),
+        None => read_file(path)?,
+    };
     let named = |table: std::result::Result<Table, String>| table.map(Attributes::named).unwrap_or_default();
     let attributes = match format {
         PointFormat::Ply => named(ply::table(&bytes)),
@@ -52,6 +58,7 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
         PointFormat::Kitti => named(sweep::table(&bytes, 4)),
         PointFormat::Nuscenes => named(sweep::table(&bytes, 5)),
         PointFormat::Sweep(num_values) => named(sweep::table(&bytes, num_values.into())),
+        PointFormat::E57 => e57::attributes(&bytes).unwrap_or_default(),
         PointFormat::Las => scanned(las::intensities_and_colors(&bytes).unwrap_or_default()),
         _ => Attributes::default(),
     };

@@ -8,7 +8,7 @@ use snake_geometry::{Cloud, Point, setters};
 
 use crate::arrays::npy;
 use crate::crs::Crs;
-use crate::formats::PointFormat;
+use crate::formats::{PointFormat, extension};
 use crate::las;
 use crate::text::columns::Columns;
 use crate::{Error, Result};
@@ -27,12 +27,16 @@ pub struct ReadOptions {
     /// The columns of text and NumPy arrays that hold x, y and z. `None` uses the columns that a header names, and the
     /// first three columns without a header.
     pub columns: Option<Columns>,
+    /// Whether points of LAS and LAZ files that are withheld or classified as noise (7 and 18) are kept. Else they are read as
+    /// not finite.
+    pub keep_withheld: bool,
 }
 
 setters!(ReadOptions {
     sample: Option<usize> => with_sample,
     seed: u64 => with_seed,
     columns: Option<Columns> => with_columns,
+    keep_withheld: bool => with_keep_withheld,
 });
 
 /// The content of a file.
@@ -40,10 +44,8 @@ setters!(ReadOptions {
 pub struct Contents {
     /// The points.
     pub cloud: Cloud,
-    /// The number of faces that were ignored because the vertices were read and not samples of the surface.
-    pub unsampled_faces: usize,
-    /// The share of the samples that one face of a mesh of many faces holds, if it is more than half.
-    pub dominant_face: Option<f64>,
+    /// What a user should know of the points, in sentences: points that were left out, faces that were not sampled.
+    pub notes: Vec<String>,
     /// Where the sensor was, in the file's frame: the `VIEWPOINT` of a PCD file, unless it is zero, which writers put
     /// there when they do not know it.
     pub viewpoint: Option<[f64; 3]>,
@@ -72,14 +74,36 @@ pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
     read_contents(path, options).map(|contents| contents.cloud)
 }
 
-/// [`read_cloud`] with the number of ignored faces.
+/// [`read_cloud`] with what else the file says.
 ///
 /// # Errors
 /// As [`read_cloud`].
 pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
-    let format = format_of(path)?;
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    let (format, bytes) = read_file(path)?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
+}
+
+/// The format and the content of a file. A file whose name has no extension, such as `/dev/stdin`, and a pipe of any name
+/// have the format that their content shows.
+pub(crate) fn read_file(path: &Path) -> Result<(PointFormat, Vec<u8>)> {
+    let is_by_content = is_pipe(path) || (path.is_file() && extension(path).is_empty());
+    let by_name = if is_by_content { PointFormat::from_path(path) } else { Ok(format_of(path)?) };
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
+    let format = by_name.or_else(|unknown| PointFormat::from_content(&bytes).ok_or(unknown))?;
+    Ok((format, bytes))
+}
+
+/// Whether a file can be read only once.
+#[cfg(unix)]
+pub(crate) fn is_pipe(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    path.metadata().is_ok_and(|metadata| metadata.file_type().is_fifo())
+}
+
+/// Whether a file can be read only once.
+#[cfg(not(unix))]
+pub(crate) fn is_pipe(_path: &Path) -> bool {
+    false
 }
 
 /// The format of a file. What is missing or a folder has no format that could be wrong.
@@ -90,7 +114,8 @@ fn format_of(path: &Path) -> Result<PointFormat> {
     })
 }
 
-/// Calls `found` with each position of a file, in the file's order and units. Returns its coordinate reference system.
+/// Calls `found` with each position of a file, in the file's order and units; points that are left out are not finite.
+/// Returns the coordinate reference system.
 ///
 /// The memory for LAS and LAZ files does not grow with the number of points. Other formats are read whole.
 ///
@@ -102,10 +127,10 @@ pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnM
     let format_error = |reason| Error::Format { path: path.into(), reason };
     if (format, &options.columns, options.sample) == (PointFormat::Las, &None, None) {
         let file = std::io::BufReader::with_capacity(1 << 20, File::open(path).map_err(io_error)?);
-        return las::for_each_position(file, found).map_err(format_error);
+        return las::for_each_position(file, options.keep_withheld, found).map_err(format_error);
     }
     let bytes = std::fs::read(path).map_err(io_error)?;
-    let shape = format.read(&bytes, options.columns.as_ref(), options.sample.is_some()).map_err(format_error)?;
+    let shape = format.read(&bytes, options).map_err(format_error)?;
     match options.sample {
         Some(number) => shape.sample(number, options.seed).map_err(format_error)?.points.into_iter().for_each(found),
         None => shape.points.into_iter().for_each(found),
@@ -121,7 +146,7 @@ pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> 
     parse_contents(bytes, format, options).map(|contents| contents.cloud)
 }
 
-/// [`parse_cloud`] with the number of ignored faces.
+/// [`parse_cloud`] with what else the file says.
 ///
 /// # Errors
 /// As [`parse_cloud`].
@@ -148,15 +173,16 @@ fn parse_as(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> std::re
     }
     let crs = if format == PointFormat::Las { las::crs(bytes) } else { None };
     crs.iter().try_for_each(Crs::check_lengths)?;
-    let shape = format.read(bytes, options.columns.as_ref(), options.sample.is_some())?;
+    let mut shape = format.read(bytes, options)?;
     let viewpoint = shape.viewpoint;
-    let (shape, unsampled_faces) = match options.sample {
-        Some(number) => (shape.sample(number, options.seed)?, 0),
-        None => {
-            let num_faces = shape.num_faces();
-            (shape, num_faces)
-        }
-    };
-    let dominant_face = shape.dominant_face;
-    Ok(Contents { cloud: shape.into_cloud(), unsampled_faces, dominant_face, viewpoint, crs })
+    match (options.sample, shape.num_faces()) {
+        (Some(number), _) => shape = shape.sample(number, options.seed)?,
+        (None, 0) => {}
+        (None, faces) => shape.notes.push(format!(
+            "a mesh of {faces} faces: its {} vertices are used; `sample` draws points from its surface",
+            shape.points.len()
+        )),
+    }
+    let notes = std::mem::take(&mut shape.notes);
+    Ok(Contents { cloud: shape.into_cloud(), notes, viewpoint, crs })
 }

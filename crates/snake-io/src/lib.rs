@@ -88,7 +88,7 @@ pub use transform::{REGISTRATION_EXTENSIONS, check_registration_path, read_trans
 pub use write::json::keypoint_json;
 pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
-pub use write::{adds_origin, write_cloud, write_keypoints, write_points};
+pub use write::{adds_origin, origin_note, write_cloud, write_keypoints, write_points};
 
 /// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
 /// all memory.

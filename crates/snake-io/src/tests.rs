@@ -52,7 +52,7 @@ fn good_files_hold_the_cloud() {
 fn meshes_can_be_sampled_and_contents_are_recognised() {
     for path in good_files() {
         let (format, bytes) = (PointFormat::from_path(&path).unwrap(), std::fs::read(&path).unwrap());
-        let options = ReadOptions { sample: Some(50), seed: 1, columns: None };
+        let options = ReadOptions { sample: Some(50), seed: 1, ..ReadOptions::default() };
         // This is the only one of the PLY files that has faces.
         let is_mesh = matches!(format, PointFormat::Obj | PointFormat::Off | PointFormat::Stl | PointFormat::Gltf)
             || path.file_name().unwrap() == "ascii.ply";
@@ -61,7 +61,7 @@ fn meshes_can_be_sampled_and_contents_are_recognised() {
             Err(error) => assert!(!is_mesh && error.to_string().contains("no faces"), "{error}"),
         }
         let contents = parse_contents(&bytes, format, &ReadOptions::default()).unwrap();
-        assert_eq!(contents.unsampled_faces > 0, is_mesh, "{}", path.display());
+        assert_eq!(contents.notes.iter().any(|note| note.starts_with("a mesh of")), is_mesh, "{}", path.display());
         let has_signature = path.extension().unwrap() != "gltf"
             && path.file_name().unwrap() != "binary.stl"
             && !matches!(
@@ -215,4 +215,24 @@ fn laser_scans_in_degrees_are_refused_with_what_to_do() {
         assert!(error.contains("degrees are no lengths; project it to metres"), "{error}");
     }
     assert_eq!(read(with_record(34735, &keys(1, 3072, 25832))).unwrap().points, CLOUD);
+}
+
+#[cfg(unix)]
+#[test]
+fn pipes_and_files_without_an_extension_are_read_by_their_content() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(good_files().into_iter().find(|path| path.ends_with("ascii.ply")).unwrap()).unwrap();
+    let [plain, pipe, text] = ["plain", "pipe.data", "text"].map(|name| folder.path().join(name));
+    std::fs::write(&plain, &bytes).unwrap();
+    std::fs::write(&text, "1 2 3\n").unwrap();
+    assert_eq!(read_points(&plain).unwrap(), CLOUD);
+    let reason = read_points(&text).unwrap_err().to_string();
+    assert!(reason.contains("`format` is not given; files that can be read: .ply"), "{reason}");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    std::thread::scope(|scope| {
+        scope.spawn(|| std::fs::write(&pipe, &bytes).unwrap());
+        assert_eq!(read_points(&pipe).unwrap(), CLOUD);
+        // It can be read only once, so that its attributes are not known.
+        assert_eq!(read_attributes(&pipe, None, 4).unwrap(), Attributes::default());
+    });
 }

@@ -183,9 +183,24 @@ impl Verdict {
             (false, false) => "not reliable",
         }
     }
+
+    /// A sentence for a user who does not look at the verdict, where the transform is not reliable.
+    pub fn warning(&self) -> Option<String> {
+        let Self { confidence, is_reliable, .. } = self;
+        (!is_reliable).then(|| format!("the transform is not reliable: its confidence is {confidence:.2}"))
+    }
 }
 
 impl Registration {
+    /// Adds what is to be said of the files of source and target to the notes of the verdict.
+    #[must_use]
+    pub fn with_notes_on_clouds(mut self, notes: [&[String]; 2]) -> Self {
+        let named = |(name, notes): (&str, &[String])| notes.iter().map(|note| format!("{name}: {note}")).collect();
+        let notes: [Vec<String>; 2] = [("source", notes[0]), ("target", notes[1])].map(named);
+        self.verdict.notes.extend(notes.concat());
+        self
+    }
+
     /// Converts the transforms from points relative to an origin (see
     /// [`Cloud`](snake_geometry::Cloud)) to points with their origins added. The information matrix
     /// is about the same axes, and stays.

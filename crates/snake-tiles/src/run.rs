@@ -391,7 +391,7 @@ fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
 
 /// Opens the files if all of them are COPC files whose points are read as they are.
 fn open_all(files: &[PathBuf], read: &ReadOptions) -> Option<Vec<Copc>> {
-    if read.columns.is_some() || read.sample.is_some() {
+    if read.columns.is_some() || read.sample.is_some() || read.keep_withheld {
         return None;
     }
     let open = |path: &PathBuf| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?;

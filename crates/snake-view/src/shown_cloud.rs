@@ -58,7 +58,11 @@ impl ShownCloud {
 
     /// A text where points were left out.
     pub fn hint(&self) -> Option<String> {
-        self.field.findings().into_iter().reduce(|first, second| format!("{first}; {second}"))
+        self.field
+            .findings()
+            .into_iter()
+            .chain(self.detection.note())
+            .reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.
@@ -91,6 +95,7 @@ impl ShownCloud {
             "num_skipped": self.field.num_skipped(),
             "num_encoded": self.field.num_encoded(),
             "counts": self.detection.counts,
+            "voxel_size": self.detection.voxel_size,
             "normalization": { "center": add_origin(center, self.origin), "scale": scale },
         })
     }

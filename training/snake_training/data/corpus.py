@@ -15,9 +15,9 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from ..augment import normalize
+from ..progress import bar
 from .assemblies import MeshError, triangles_of
 from .datasets import Corpus
 from .shapes import draw_on, superquadric, triangles
@@ -121,7 +121,7 @@ def build(entries, clones, output):
     report = []
     for split in dict.fromkeys(entry.split for entry in entries):
         rows, stored = [], []
-        for entry in tqdm([entry for entry in entries if entry.split == split], unit="shape", disable=None):
+        for entry in bar([entry for entry in entries if entry.split == split], unit="shape"):
             try:
                 corners = surface(entry, clones)
                 points = sample(corners, entry, POINTS[split])

@@ -6,9 +6,9 @@ import tarfile
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from ..augment import choose, normalize
+from ..progress import bar
 from .official import Bodies, clouds_below, clouds_of_split
 from .shapes import Procedural
 
@@ -235,7 +235,7 @@ def write_corpus(folder, shapes, points=8192):
     """A corpus folder of shapes: each about its mean, its farthest point at distance 1, `points` of its points."""
     folder = Path(folder)
     stored = np.empty((len(shapes), points, 3), np.int16)
-    for row in tqdm(range(len(shapes)), unit="shape", disable=None):
+    for row in bar(range(len(shapes)), unit="shape"):
         cloud = choose(np.random.default_rng(row), shapes[row], points)
         stored[row] = (normalize(cloud)[0] * 2 * 32767).round()
     folder.mkdir(parents=True, exist_ok=True)

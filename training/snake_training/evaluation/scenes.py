@@ -1,5 +1,6 @@
 """The 3DMatch benchmark of detectors and descriptors on the fragments of scenes, as the long table of `tables`."""
 
+import warnings
 from functools import lru_cache
 
 import numpy as np
@@ -153,10 +154,12 @@ def registration(
 
 
 def registered(source, target, options):
-    """The transform of `snake_rs.register`; None where it finds none."""
+    """The transform of `snake_rs.register`, without a warning for each that is not reliable; None where it finds none."""
     import snake_rs
 
-    try:
-        return snake_rs.register(source, target, **options).t_target_source
-    except ValueError:
-        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        try:
+            return snake_rs.register(source, target, **options).t_target_source
+        except ValueError:
+            return None

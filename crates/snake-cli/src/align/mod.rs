@@ -37,7 +37,8 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
     let contents = inputs.iter().map(read).collect::<Result<Vec<_>>>()?;
     let viewpoints = contents.iter().map(|contents| contents.viewpoint).collect();
     let mut known = AlignPriors::default().with_viewpoints(viewpoints).with_initial_poses(initial_poses);
-    let clouds: Vec<Cloud> = contents.into_iter().map(|contents| contents.cloud).collect();
+    let read = contents.into_iter().map(|contents| (contents.cloud, contents.notes));
+    let (clouds, notes): (Vec<Cloud>, Vec<Vec<String>>) = read.unzip();
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
     known.place(&mut options, &origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
@@ -65,7 +66,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
         io::write_cloud(path, &merge(&near, &points), &Attributes::joined(&attributes), origins[first])?;
         merged_origin = output_origin(path, io::adds_origin(path), origins[first]);
     }
-    let alignment = near.between_origins(&origins);
+    let alignment = near.between_origins(&origins).with_notes_on_clouds(&notes);
     let object = object(&alignment, &inputs, merged_origin)?;
     if let Some(path) = output {
         let write = |file: &mut dyn Write| writeln!(file, "{object}");
@@ -77,11 +78,9 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
         let written: Vec<&Path> = output.iter().chain(merged).map(AsRef::as_ref).collect();
         terminal::print_report(&report(&alignment, &inputs, &written))?;
     }
-    if arguments.require_connected && alignment.parts.len() > 1 {
-        terminal::warn(&format!("the clouds are in {} parts, which nothing reliable connects", alignment.parts.len()));
-        return Ok(FAILURE);
-    }
-    Ok(SUCCESS)
+    let Some(warning) = alignment.warning() else { return Ok(SUCCESS) };
+    terminal::warn(&warning);
+    Ok(if arguments.require_connected { FAILURE } else { SUCCESS })
 }
 
 /// The poses of the clouds in a file; without one, none.

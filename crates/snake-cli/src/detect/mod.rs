@@ -5,7 +5,7 @@ mod recording;
 mod reports;
 mod tiled;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, Counts, Detection, Progress, add_origin, parallel_map};
+use snake_core::{Chooser, ChosenBy, Control, Detection, Progress, add_origin, parallel_map};
 use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
@@ -41,7 +41,7 @@ pub fn run(arguments: &DetectArguments) -> Result<u8> {
     let chooser = arguments.compute.chooser(&arguments.options.values())?;
     let load_model = loading.elapsed().as_secs_f64();
     let control = Control::new().progress(&progress);
-    let job = Job { chooser: &chooser, arguments, control: &control, hinted: &Mutex::default() };
+    let job = Job { chooser: &chooser, arguments, control: &control };
     if is_recording {
         return recording::run(&job, &inputs[0], terminal::stages(&progress)?, load_model);
     }
@@ -121,8 +121,6 @@ struct Job<'a> {
     chooser: &'a Chooser,
     arguments: &'a DetectArguments,
     control: &'a Control,
-    /// The hints that were printed, and the models.
-    hinted: &'a Mutex<BTreeSet<String>>,
 }
 
 /// A cloud with where it comes from and where its keypoints go.
@@ -148,34 +146,25 @@ impl Job<'_> {
         self.process(Item { input, name, output, recorded: None, contents, start, bar })
     }
 
-    /// Whether a text is printed for the first time.
-    fn is_new(&self, text: &str) -> bool {
-        self.hinted.lock().unwrap_or_else(PoisonError::into_inner).insert(text.to_owned())
-    }
-
     /// Detects the keypoints of a cloud and writes them.
     fn process(&self, item: Item) -> Result<Processed> {
         let Item { input, name, output, recorded, contents, start, bar } = item;
-        let Contents { cloud, crs, .. } = contents;
+        let Contents { cloud, crs, mut notes, .. } = contents;
         let Self { arguments, control, .. } = *self;
         let read = start.elapsed().as_secs_f64();
         let chosen = self.chooser.for_cloud(&cloud).with_context(|| name.to_owned())?;
         let origin = chosen.origin;
         let num_points = cloud.points.len();
-        if self.is_new(&chosen.name) {
-            bar.suspend(|| detail_of(&chosen));
-        }
-        // Before the detection, which may take minutes at the wrong scale.
-        let mut hints: Vec<String> = Vec::new();
-        let add_hint = |hint: String| {
-            // Once a run, with the first cloud, whatever its numbers; `--json` has it for each.
-            if self.is_new(&hint.replace(|c: char| c.is_ascii_digit() || c == '.', "")) {
-                bar.suspend(|| terminal::hint(&format!("{name}: {hint}")));
-            }
-            hints.push(hint);
+        bar.suspend(|| detail_of(&chosen));
+        // Each note is printed once a run, with the first cloud; `--json` has it for each.
+        let mut add_notes = |more: Vec<String>| {
+            bar.suspend(|| terminal::hints_once(name, &more));
+            notes.extend(more);
         };
-        chosen.notes().into_iter().for_each(add_hint);
+        // Before the detection, which may take minutes at the wrong scale.
+        add_notes(chosen.notes());
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
+        add_notes(detection.note().into_iter().collect());
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
             let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };
@@ -187,7 +176,7 @@ impl Job<'_> {
         let seconds = [read, timing.encode, timing.occupancy, timing.refine, timing.nms, total];
         let report = if arguments.json {
             let origins = [origin, origin_to_add];
-            let mut line = json_line(input, output, num_points, origins, &detection, &seconds, &hints);
+            let mut line = json_line(input, output, num_points, origins, &detection, &seconds, &notes);
             if let Some(line) = line.as_object_mut() {
                 line.insert("model".into(), chosen.name.clone().into());
                 line.extend(recorded.map(|recorded| ("recorded".into(), recorded)));
@@ -238,7 +227,7 @@ fn json_line(
     origins: [[f64; 3]; 2],
     detection: &Detection,
     seconds: &Seconds,
-    hints: &[String],
+    notes: &[String],
 ) -> Value {
     let [origin, output_origin] = origins;
     json!({
@@ -252,7 +241,7 @@ fn json_line(
         "normalization": detection.normalization,
         "voxel_size": detection.voxel_size,
         "counts": detection.counts,
-        "notes": hints,
+        "notes": notes,
         "timing_seconds": STAGES.into_iter().zip(seconds).collect::<BTreeMap<_, _>>(),
         "keypoints": detection.keypoints.iter().map(|keypoint| io::keypoint_json(keypoint, origin)).collect::<Vec<_>>(),
     })
@@ -266,7 +255,7 @@ fn table(
     detection: &Detection,
     total: f64,
 ) -> Result<Report> {
-    let (counts, keypoints) = (detection.counts, &detection.keypoints);
+    let keypoints = &detection.keypoints;
     let mut report = Report::default();
     let mut first = format!("{name}: {} keypoints from {num_points} points", keypoints.len());
     if detection.num_skipped > 0 {
@@ -276,13 +265,7 @@ fn table(
         write!(first, " ({} encoded)", detection.num_encoded)?;
     }
     report.line(format!("{first} in {total:.3} s"));
-    if keypoints.is_empty() {
-        report.line(match counts {
-            Counts { occupied: 0, .. } => "no keypoints: try --set occupancy_threshold=0.3",
-            Counts { above_threshold: 0, .. } => "no keypoints: try a lower --saliency-threshold",
-            _ => "no keypoint is found again more often than chance, as on a flat wall: --min-confidence 0 gives all",
-        });
-    } else {
+    if !keypoints.is_empty() {
         let [x, y, z] = ["x", "y", "z"];
         report.heading(format!(
             "{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>10} {:>9} {:>8}",

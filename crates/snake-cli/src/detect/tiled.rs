@@ -25,8 +25,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
         options.detect.max_keypoints = usize::MAX;
     }
     let detector = TileDetector::new(&model.model, &options)?;
-    let sample = arguments.input.sample.map(|number| number as usize);
-    let read = arguments.input.columns.options().with_sample(sample).with_seed(options.encode.seed);
+    let read = arguments.input.options(options.encode.seed);
     let folder = arguments.tiles.tile_folder.clone().unwrap_or_else(|| with_suffix(output, ".tiles"));
     let bar = terminal::progress(1)?;
     bar.set_message("reading the points");
@@ -55,7 +54,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     let counts = finished.counts;
     let mut report = Report::default();
     report.line(format!(
-        "{} keypoints from {num_points} points ({num_skipped} not finite) in {} tiles in {:.1} s",
+        "{} keypoints from {num_points} points ({num_skipped} not finite, withheld or noise) in {} tiles in {:.1} s",
         counts.keypoints,
         run.tiles().len(),
         start.elapsed().as_secs_f64()

@@ -40,6 +40,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     let (source_contents, target_contents) = (read(source)?, read(target)?);
     pair.source_viewpoint = pair.source_viewpoint.or(source_contents.viewpoint);
     pair.target_viewpoint = pair.target_viewpoint.or(target_contents.viewpoint);
+    let notes = [source_contents.notes, target_contents.notes];
     let (source_cloud, target_cloud) = (source_contents.cloud, target_contents.cloud);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     pair.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
@@ -60,6 +61,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
         tried => tried?,
     };
     let pose = near.t_target_source;
+    let near = near.with_notes_on_clouds([&notes[0], &notes[1]]);
     let registration = near.between_origins(source_cloud.origin, target_cloud.origin);
     let mut attributes = match aligned {
         Some(_) => arguments.input.read_attributes(source, &source_cloud)?,
@@ -93,11 +95,8 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     } else {
         terminal::print_report(&report(&registration, &written))?;
     }
-    let verdict = &registration.verdict;
-    if verdict.is_reliable {
-        return Ok(SUCCESS);
-    }
-    terminal::warn(&format!("the transform is not reliable: its confidence is {:.2}", verdict.confidence));
+    let Some(warning) = registration.verdict.warning() else { return Ok(SUCCESS) };
+    terminal::warn(&warning);
     Ok(if arguments.require_reliable { FAILURE } else { SUCCESS })
 }
 

@@ -167,7 +167,7 @@ fn using_the_vertices_of_a_mesh_prints_a_warning() {
     std::fs::write(&mesh, format!("OFF\n8 6 12\n{corners}{faces}")).unwrap();
     let said = |extra: &[&str]| report(&[&["detect", &mesh, "--json"], extra].concat()).1;
     let text = said(&[]);
-    assert!(text.contains("its 8 vertices are used") && text.contains("--sample N"), "{text}");
+    assert!(text.contains("its 8 vertices are used; `sample` draws points"), "{text}");
     assert_eq!(said(&["--sample", "2000"]) + &said(&["--quiet"]), "");
     assert_eq!(report(&["detect", &sample(), "--json"]).1, "");
     // The faces of the cube twice, and one that is far larger.

@@ -50,7 +50,10 @@ fn meshes_are_written_in_each_format() {
 
     let (_, output) = reconstruct("e.ply", &["--level", "0.999"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(text.contains("0 triangles, area 0.0") && text.contains("try a lower --level"), "{text}");
+    assert!(
+        text.contains("0 triangles, area 0.0") && stderr(&output).contains("no surface: a lower `level`"),
+        "{text}"
+    );
 }
 
 #[test]

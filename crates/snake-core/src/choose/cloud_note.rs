@@ -1,11 +1,12 @@
 //! What a user should know of a cloud before its keypoints.
 
+use super::few_voxels;
 use crate::cloud::UsedCloud;
 use crate::network::ModelConfig;
 use crate::options::Options;
 
 /// What was left out of a cloud ([`UsedCloud::findings`]), a haze ([`UsedCloud::haze`]), and coordinates that were rounded to more
-/// than a voxel; `None` if nothing is wrong.
+/// than a voxel, and a cloud of which one object's voxels show little; `None` if nothing is wrong.
 pub(super) fn cloud_note(cloud: &UsedCloud, config: &ModelConfig, options: &Options) -> Option<String> {
     let haze = cloud.haze().map(|share| {
         format!(
@@ -22,11 +23,12 @@ pub(super) fn cloud_note(cloud: &UsedCloud, config: &ModelConfig, options: &Opti
             rounded(step.length)
         )
     });
-    cloud.findings().into_iter().chain(haze).chain(step).reduce(|first, second| format!("{first}; {second}"))
+    let few = config.frame().and_then(|_| few_voxels::note(cloud));
+    cloud.findings().into_iter().chain(haze).chain(step).chain(few).reduce(|first, second| format!("{first}; {second}"))
 }
 
 /// A length with three digits.
-fn rounded(length: f64) -> f64 {
+pub(super) fn rounded(length: f64) -> f64 {
     format!("{length:.2e}").parse().unwrap_or(length)
 }
 

@@ -3,6 +3,7 @@
 #[cfg(feature = "builtin-models")]
 mod chooser;
 mod cloud_note;
+mod few_voxels;
 #[cfg(feature = "builtin-models")]
 mod rule;
 

@@ -2,6 +2,7 @@
 
 use serde_json::{Map, Value};
 
+use super::few_voxels;
 use crate::Builtin;
 use crate::cloud::{NUM_SIGNS, UsedCloud};
 use snake_geometry::Point;
@@ -36,11 +37,15 @@ pub(super) fn by_options(values: &Map<String, Value>) -> Option<(&'static str, B
 
 /// The built-in model for a cloud.
 pub(super) fn by_cloud(cloud: &UsedCloud) -> Builtin {
-    if cloud.is_sweep() || scene_score(cloud) > 0.0 { Builtin::Scenes } else { Builtin::Compact }
+    let is_scene = cloud.is_sweep() || scene_score(cloud) > 0.0 || few_voxels::note(cloud).is_some();
+    if is_scene { Builtin::Scenes } else { Builtin::Compact }
 }
 
-/// The note on a cloud that looks about as much like a scene as like an object.
+/// The note on a cloud of which an object's voxels show little, and on one that looks about as much like a scene as like an object.
 pub(super) fn note_of_doubt(cloud: &UsedCloud) -> Option<String> {
+    if let Some(note) = few_voxels::note(cloud) {
+        return Some(note);
+    }
     if cloud.is_sweep() || scene_score(cloud).abs() > DOUBT {
         return None;
     }

@@ -7,6 +7,7 @@ mod scene_signs;
 mod sweep;
 
 pub(crate) use self::coordinate_step::CoordinateStep;
+pub(crate) use self::samples::{drawn, quantile};
 pub use self::scene_signs::{NUM_SIGNS, scene_signs};
 
 use std::sync::OnceLock;

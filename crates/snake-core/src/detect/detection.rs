@@ -26,6 +26,18 @@ pub struct Detection {
     pub timing: Timing,
 }
 
+impl Detection {
+    /// Why there are no keypoints, in a sentence for a user.
+    pub fn note(&self) -> Option<String> {
+        let text = match self.counts {
+            Counts { occupied: 0, .. } => "no keypoints: a lower `occupancy_threshold`, such as 0.3, may find some",
+            Counts { above_threshold: 0, .. } => "no keypoints: a lower `saliency_threshold` may find some",
+            _ => "no keypoint is found again more often than chance, as on a flat wall: `min_confidence` 0 gives all",
+        };
+        self.keypoints.is_empty().then(|| text.into())
+    }
+}
+
 /// Number of queries after each step of [`Field::detect`](crate::Field::detect).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[non_exhaustive]

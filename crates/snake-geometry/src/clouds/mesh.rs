@@ -22,9 +22,15 @@ pub struct Mesh {
 const INNER_SIDE: f64 = 0.1;
 
 impl Mesh {
+    /// Notes for a user, in sentences: on a field without a surface, and on an open shell.
+    pub fn notes(&self) -> Vec<String> {
+        let empty = || "no surface: a lower `level` may have one".into();
+        self.shell_hint().into_iter().chain(self.triangles.is_empty().then(empty)).collect()
+    }
+
     /// One sentence for the user if the outer surfaces were asked for and still have an inner side. Through a hole in a
     /// shell both sides are one surface, all of which can be reached from outside.
-    pub fn shell_hint(&self) -> Option<String> {
+    fn shell_hint(&self) -> Option<String> {
         let (removed, kept) = (self.num_removed?, self.triangles.len());
         (kept > 0 && (removed as f64) < INNER_SIDE * kept as f64).then(|| {
             format!(

@@ -1,5 +1,6 @@
 //! Missing returns that a sensor writes as points: all at one place, at one distance or at one depth.
 
+use super::housing::housing;
 use crate::{Point, Vector, least_spread, vector};
 
 /// Missing returns are at least this many points of a cloud, and this share.
@@ -31,15 +32,16 @@ pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Opt
     if points.len() < min_count {
         return None;
     }
-    let (is_missing, place) =
-        one_place_or_distance(points, sensor, min_count).or_else(|| one_depth(points, sensor.is_some(), min_count))?;
+    let (is_missing, place) = one_place_or_distance(points, sensor, min_count)
+        .or_else(|| one_depth(points, sensor.is_some(), min_count))
+        .map(|(is_missing, place)| (is_missing, place + ", as missing returns are written"))
+        .or_else(|| housing(points))?;
     let count = number_of(&is_missing);
     if !leaves_enough(&is_missing) {
         return None;
     }
     let share = 100.0 * count as f64 / points.len() as f64;
-    let words =
-        format!("{count} of {} points ({share:.0} %) are {place}, as missing returns are written", points.len());
+    let words = format!("{count} of {} points ({share:.0} %) are {place}", points.len());
     Some((is_missing, words))
 }
 

@@ -2,6 +2,7 @@
 
 mod cloud;
 mod dense_core;
+mod housing;
 mod keypoint;
 mod length;
 mod mesh;

@@ -4,41 +4,69 @@
 
 use std::io::Cursor;
 
-use e57::{CartesianCoordinate, E57Reader, PointCloud, RecordName, Transform};
+use e57::{CartesianCoordinate, E57Reader, Point, PointCloud, RecordName, Transform};
 use snake_geometry::excerpt;
 
 use crate::MAX_EXPANSION;
+use crate::attributes::Attributes;
 use crate::formats::quaternion::rotation;
 use crate::table::shape::{Position, Shape};
 
 /// Reads the points of all scans in the file's frame: the pose of each scan is applied. Points that a scanner marks as
 /// invalid are not finite.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
+    let mut points: Vec<Position> = Vec::new();
+    for_each_point(bytes, &mut |position, _, _| points.push(position))?;
+    Ok(points.into())
+}
+
+/// The colours, as bytes, and the intensity of the points of a file that [`read`] reads. A colour that a scanner marks as invalid
+/// is black, such an intensity 0.
+pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
+    let (mut colors, mut intensity) = (Vec::new(), Vec::new());
+    for_each_point(bytes, &mut |_, scan, point| {
+        if scan.has_color() {
+            let shares = point.color.as_ref().map_or([0.0; 3], |color| [color.red, color.green, color.blue]);
+            colors.push(shares.map(|share| (255.0 * share).round() as u8));
+        }
+        if scan.has_intensity() {
+            intensity.push(point.intensity.unwrap_or_default());
+        }
+    })?;
+    Ok(Attributes { colors: Some(colors), intensity: Some(intensity), ..Attributes::default() })
+}
+
+/// Calls `found` with each position, its scan and what else the file says of it.
+fn for_each_point(bytes: &[u8], found: &mut dyn FnMut(Position, &PointCloud, &Point)) -> Result<(), String> {
     check_header(bytes)?;
     let failed = |error: e57::Error| {
         let advice = "it is damaged or cut short; copy or export it again";
         format!("{}; {advice}", excerpt(&error.to_string(), 200))
     };
     let mut reader = E57Reader::new(Cursor::new(bytes)).map_err(failed)?;
-    let mut points: Vec<Position> = Vec::new();
-    let most = bytes.len().saturating_mul(MAX_EXPANSION) as u64;
+    let (most, mut num_points) = (bytes.len().saturating_mul(MAX_EXPANSION) as u64, 0_u64);
     for (number, scan) in (1..).zip(reader.pointclouds()) {
-        if scan.records.saturating_add(points.len() as u64) > most {
+        num_points = num_points.saturating_add(scan.records);
+        if num_points > most {
             return Err(format!("{} points in a file of {} bytes", scan.records, bytes.len()));
         }
         check_fields(&scan).map_err(|reason| format!("scan {number}: {reason}"))?;
         let place = pose(scan.transform.as_ref()).map_err(|reason| format!("the pose of scan {number}: {reason}"))?;
-        let mut scan = reader.pointcloud_simple(&scan).map_err(failed)?;
+        let mut points = reader.pointcloud_simple(&scan).map_err(failed)?;
         // The crate's own pose also scales, by the square of the quaternion's length.
-        scan.apply_pose(false);
-        for point in scan {
-            points.push(match point.map_err(failed)?.cartesian {
+        points.apply_pose(false);
+        points.intensity_to_color(false);
+        points.normalize_intensity(false);
+        for point in points {
+            let point = point.map_err(failed)?;
+            let position = match point.cartesian {
                 CartesianCoordinate::Valid { x, y, z } => place([x, y, z]),
                 _ => [f64::NAN; 3],
-            });
+            };
+            found(position, &scan, &point);
         }
     }
-    Ok(points.into())
+    Ok(())
 }
 
 /// Refuses scans without positions.
@@ -127,6 +155,32 @@ mod tests {
     }
 
     const XYZ: [RecordName; 3] = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+
+    #[test]
+    fn colours_and_intensity_are_those_of_the_points() {
+        use RecordName::{ColorBlue, ColorGreen, ColorRed, Intensity};
+        let names = [&XYZ[..], &[ColorRed, ColorGreen, ColorBlue, Intensity]].concat();
+        let mut file = Cursor::new(Vec::new());
+        let mut writer = e57::E57Writer::new(&mut file, "file").unwrap();
+        let byte = RecordDataType::Integer { min: 0, max: 255 };
+        let fields = names.iter().enumerate().map(|(index, name)| Record {
+            name: name.clone(),
+            data_type: if (3..6).contains(&index) { byte.clone() } else { RecordDataType::F32 },
+        });
+        let mut scan = writer.add_pointcloud("scan", fields.collect()).unwrap();
+        for number in [1.0_f32, 2.0] {
+            let color = [10, 128, 255].map(RecordValue::Integer);
+            let values = [[number; 3].map(RecordValue::Single), color].concat();
+            scan.add_point([values, vec![RecordValue::Single(300.0 * number)]].concat()).unwrap();
+        }
+        scan.finalize().unwrap();
+        writer.finalize().unwrap();
+        drop(writer);
+        let Attributes { colors, intensity, .. } = super::attributes(&file.into_inner()).unwrap();
+        assert_eq!((colors, intensity), (Some(vec![[10, 128, 255]; 2]), Some(vec![300.0, 600.0])));
+        let plain = super::attributes(&scans(&[None], &XYZ)).unwrap();
+        assert_eq!((plain.colors, plain.intensity), (Some(vec![]), Some(vec![])));
+    }
 
     #[test]
     fn poses_turn_and_move_and_never_scale() {

@@ -22,8 +22,7 @@ use crate::arrays::npy;
 use crate::arrays::npz;
 use crate::las;
 use crate::table::shape::Shape;
-use crate::text::columns::Columns;
-use crate::{Error, Result, text};
+use crate::{Error, ReadOptions, Result, text};
 
 /// How files of a format are named, recognised and read.
 struct Format {
@@ -36,8 +35,8 @@ struct Format {
     read: Read,
 }
 
-/// Reads the points, in chosen columns, and the faces if they are wanted.
-type Read = fn(&[u8], Option<&Columns>, bool) -> std::result::Result<Shape, String>;
+/// Reads the points, in the columns of the options, and the faces if they are to be sampled.
+type Read = fn(&[u8], &ReadOptions) -> std::result::Result<Shape, String>;
 
 const fn row(
     format: PointFormat,
@@ -53,24 +52,24 @@ const fn row(
 #[rustfmt::skip]
 const FORMATS: &[Format] = &[
     // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
-    row(PointFormat::Ply, "PLY", &["ply"], &[b"ply\n", b"ply\r"], |bytes, _, faces| ply::read(bytes, faces)),
-    row(PointFormat::Pcd, "PCD", &["pcd"], &[b"# .PCD", b"VERSION", b"FIELDS"], |bytes, _, _| pcd::read(bytes)),
+    row(PointFormat::Ply, "PLY", &["ply"], &[b"ply\n", b"ply\r"], |bytes, options| ply::read(bytes, options.sample.is_some())),
+    row(PointFormat::Pcd, "PCD", &["pcd"], &[b"# .PCD", b"VERSION", b"FIELDS"], |bytes, _| pcd::read(bytes)),
     row(PointFormat::Text, "text", &["xyz", "txt", "csv", "asc", "xyzn", "xyzrgb", "xyzi"], &[],
-        |bytes, columns, _| text::read(bytes, columns)),
-    row(PointFormat::Pts, "PTS", &["pts"], &[], |bytes, columns, _| text::read_counted(bytes, columns)),
-    row(PointFormat::Npy, "NPY", &["npy"], &[npy::MAGIC], |bytes, columns, _| npy::read(bytes, columns)),
+        |bytes, options| text::read(bytes, options.columns.as_ref())),
+    row(PointFormat::Pts, "PTS", &["pts"], &[], |bytes, options| text::read_counted(bytes, options.columns.as_ref())),
+    row(PointFormat::Npy, "NPY", &["npy"], &[npy::MAGIC], |bytes, options| npy::read(bytes, options.columns.as_ref())),
     row(PointFormat::Npz, "NPZ", &["npz"], &[b"PK\x03\x04"],
-        |bytes, columns, _| npz::read(bytes, columns)),
-    row(PointFormat::Obj, "OBJ", &["obj"], &[], |bytes, _, _| obj::read(bytes)),
+        |bytes, options| npz::read(bytes, options.columns.as_ref())),
+    row(PointFormat::Obj, "OBJ", &["obj"], &[], |bytes, _| obj::read(bytes)),
     row(PointFormat::Off, "OFF", &["off"], &[b"OFF", b"COFF", b"NOFF", b"CNOFF", b"STOFF"],
-        |bytes, _, _| off::read(bytes)),
-    row(PointFormat::Stl, "STL", &["stl"], &[b"solid "], |bytes, _, _| stl::read(bytes)),
-    row(PointFormat::Las, "LAS", &["las", "laz"], &[b"LASF"], |bytes, _, _| las::read(bytes)),
-    row(PointFormat::E57, "E57", &["e57"], &[b"ASTM-E57"], |bytes, _, _| e57::read(bytes)),
+        |bytes, _| off::read(bytes)),
+    row(PointFormat::Stl, "STL", &["stl"], &[b"solid "], |bytes, _| stl::read(bytes)),
+    row(PointFormat::Las, "LAS", &["las", "laz"], &[b"LASF"], |bytes, options| las::read(bytes, options.keep_withheld)),
+    row(PointFormat::E57, "E57", &["e57"], &[b"ASTM-E57"], |bytes, _| e57::read(bytes)),
     row(PointFormat::Gltf, "glTF", &["gltf", "glb"], &[b"glTF"],
-        |bytes, _, _| gltf::read(bytes)),
-    row(PointFormat::Kitti, "KITTI", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 4)),
-    row(PointFormat::Nuscenes, "nuScenes", &[], &[], |bytes, _, _| sweep::read_checked(bytes, 5)),
+        |bytes, _| gltf::read(bytes)),
+    row(PointFormat::Kitti, "KITTI", &[], &[], |bytes, _| sweep::read_checked(bytes, 4)),
+    row(PointFormat::Nuscenes, "nuScenes", &[], &[], |bytes, _| sweep::read_checked(bytes, 5)),
 ];
 
 /// The extensions of the formats that are written, and what is written in them: clouds or keypoints.
@@ -191,20 +190,15 @@ impl PointFormat {
         self.row().map_or("sweep", |format| format.name)
     }
 
-    /// Reads the points of a file, in chosen columns, and the faces if they are wanted.
-    pub(crate) fn read(
-        self,
-        bytes: &[u8],
-        columns: Option<&Columns>,
-        with_faces: bool,
-    ) -> std::result::Result<Shape, String> {
-        if columns.is_some() && !matches!(self, Self::Text | Self::Pts | Self::Npy | Self::Npz) {
+    /// Reads the points of a file, in the columns of the options, and the faces if they are to be sampled.
+    pub(crate) fn read(self, bytes: &[u8], options: &ReadOptions) -> std::result::Result<Shape, String> {
+        if options.columns.is_some() && !matches!(self, Self::Text | Self::Pts | Self::Npy | Self::Npz) {
             return Err(
                 "columns can be chosen in text and in arrays of NumPy; this format names its coordinates".into()
             );
         }
         match (self.row(), self) {
-            (Some(format), _) => (format.read)(bytes, columns, with_faces),
+            (Some(format), _) => (format.read)(bytes, options),
             (None, Self::Sweep(values)) => sweep::read(bytes, values.into()),
             _ => Err("not a format of the table".into()),
         }
@@ -339,6 +333,10 @@ pub(crate) fn extension(path: &Path) -> String {
 }
 
 pub(crate) fn unknown_extension(path: &Path, verb: &str, extensions: &[&str]) -> Error {
-    let reason = format!("unknown extension; files that can be {verb}: .{}", extensions.join(", ."));
+    let reason = match verb {
+        "read" => "unknown extension, and `format` is not given",
+        _ => "unknown extension",
+    };
+    let reason = format!("{reason}; files that can be {verb}: .{}", extensions.join(", ."));
     Error::Format { path: path.into(), reason }
 }

@@ -166,7 +166,8 @@ impl Copc {
     }
 
     /// Calls `found` with the index in the file and the position of all points in a rectangle along x and y, given by its
-    /// lowest and its highest corner, in the units of the file. It is also called with others: whole nodes are read.
+    /// lowest and its highest corner, in the units of the file. It is also called with others: whole nodes are read. Points that
+    /// are withheld or classified as noise are left out.
     ///
     /// # Errors
     /// [`Error::Io`] when a chunk cannot be read; [`Error::Format`] for a damaged chunk, and for points outside of their node
@@ -186,7 +187,9 @@ impl Copc {
                 if !(contains(&bounds, position) && contains(&all, position)) {
                     outside = Some(position);
                 }
-                found(index, position);
+                if !header.is_withheld(record) {
+                    found(index, position);
+                }
                 index += 1;
             });
             let (count, _) = decoded.map_err(format_error(&*self.source))?;

@@ -20,22 +20,41 @@ use crate::table::shape::{Position, Shape};
 /// The size of the public header block of LAS 1.4, the longest.
 pub(crate) const HEADER_SIZE: u64 = 375;
 
-/// Reads the coordinates: integers times a scale plus an offset. All other fields of a point are ignored.
-pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
-    let mut points: Vec<Position> = Vec::new();
-    for_each_position(Cursor::new(bytes), &mut |position| points.push(position))?;
-    Ok(points.into())
+/// The classes of noise: low and high points.
+const NOISE: [u8; 2] = [7, 18];
+
+/// Reads the coordinates: integers times a scale plus an offset. Points that are withheld or noise are not finite, unless
+/// they are kept.
+pub(crate) fn read(bytes: &[u8], keep_withheld: bool) -> Result<Shape, String> {
+    let (mut points, mut num_withheld): (Vec<Position>, usize) = (Vec::new(), 0);
+    for_each_position(Cursor::new(bytes), keep_withheld, &mut |position| {
+        num_withheld += usize::from(position[0].is_nan());
+        points.push(position);
+    })?;
+    let mut shape = Shape::from(points);
+    if num_withheld > 0 {
+        let all = shape.points.len();
+        shape.notes.push(format!(
+            "{num_withheld} of {all} points are left out, because the file marks them as withheld or as noise; \
+             `keep_withheld` keeps them"
+        ));
+    }
+    Ok(shape)
 }
 
-/// Calls `found` with each position of a file, in memory that does not grow with their number. Returns the coordinate
-/// reference system.
+/// Calls `found` with each position of a file, in memory that does not grow with their number: with NaN for points that
+/// are withheld or noise, unless they are kept. Returns the coordinate reference system.
 pub(crate) fn for_each_position(
     mut source: impl BufRead + Seek,
+    keep_withheld: bool,
     found: &mut dyn FnMut(Position),
 ) -> Result<Option<Crs>, String> {
     let length = source.seek(SeekFrom::End(0)).map_err(|e| e.to_string())?;
     let header = Header::parse(&start(&mut source, HEADER_SIZE)?)?;
-    let head = header.for_each_record(&mut source, length, &mut |record| found(header.position(record)))?;
+    let head = header.for_each_record(&mut source, length, &mut |record| {
+        let is_used = keep_withheld || !header.is_withheld(record);
+        found(if is_used { header.position(record) } else { [f64::NAN; 3] });
+    })?;
     Ok(header.crs(&head))
 }
 
@@ -157,6 +176,16 @@ impl Header {
             7 | 8 | 10 => Some(30),
             _ => None,
         }
+    }
+
+    /// Whether a point is marked as withheld (deleted) or classified as noise.
+    pub(crate) fn is_withheld(&self, record: &[u8]) -> bool {
+        let byte = |at: usize| record.get(at).copied().unwrap_or_default();
+        let (flag, class) = match self.point_format {
+            0..=5 => (byte(15) & 0x80, byte(15) & 0x1f),
+            _ => (byte(15) & 0x04, byte(16)),
+        };
+        flag != 0 || NOISE.contains(&class)
     }
 
     fn plain(&self, data_length: usize, source: &mut impl Read, found: &mut dyn FnMut(&[u8])) -> Result<(), String> {
@@ -353,7 +382,8 @@ impl Header {
         let mut decoder = LayeredPointRecordDecompressor::new(Cursor::new(&chunk[..]));
         decoder.set_fields_from(items).map_err(|e| format!("compression: {e}"))?;
         if !self.with_attributes {
-            decoder.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+            let selection = DecompressionSelection::xy_returns_channel().decompress_z();
+            decoder.set_selection(selection.decompress_classification().decompress_flags());
         }
         for index in 0..count {
             decoder.decompress_next(&mut record).map_err(|e| self.cut_short(num_read + index, &e))?;
@@ -439,8 +469,27 @@ mod tests {
     fn scale_and_offset_are_applied_in_f64() {
         let bytes = with(sample("format_2.las"), 131, &0.5_f64.to_le_bytes());
         let bytes = with(bytes, 163, &5_000_000.25_f64.to_le_bytes());
-        let points = read(&bytes).unwrap().points;
+        let points = read(&bytes, false).unwrap().points;
         assert_eq!(points[1], [500.0, 4_999_998.25, 0.5]);
+    }
+
+    #[test]
+    fn withheld_points_and_noise_are_left_out_and_counted() {
+        for (name, at, flag, class) in [("format_2.las", 15, 0x80, 15), ("format_7.las", 15, 0x04, 16)] {
+            let data_offset = u32::from_le_bytes(sample(name)[96..100].try_into().unwrap()) as usize;
+            for (at, byte, is_left_out) in [(at, flag, true), (class, 7, true), (class, 18, true), (class, 2, false)] {
+                let bytes = with(sample(name), data_offset + at, &[byte]);
+                let Shape { points, notes, .. } = read(&bytes, false).unwrap();
+                assert_eq!(
+                    points.iter().map(|p| p[0].is_nan()).collect::<Vec<_>>(),
+                    [is_left_out, false, false, false]
+                );
+                assert_eq!(notes.len(), usize::from(is_left_out), "{name} {byte}");
+                assert!(notes.iter().all(|note| note.starts_with("1 of 4 points are left out")), "{notes:?}");
+                let Shape { points, notes, .. } = read(&bytes, true).unwrap();
+                assert!(points.iter().flatten().all(|v| v.is_finite()) && notes.is_empty());
+            }
+        }
     }
 
     #[test]
@@ -449,7 +498,7 @@ mod tests {
             let bytes = sample(name);
             let data_offset = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
             for length in 0..data_offset + 50 {
-                read(&bytes[..length]).unwrap_err();
+                read(&bytes[..length], false).unwrap_err();
             }
         }
     }
@@ -473,13 +522,13 @@ mod tests {
             (with(sample("format_3.laz"), 105, &[35, 0]), "do not make up a point"),
             (with(sample("format_3.laz"), 100, &[0; 4]), "no record says how"),
         ] {
-            let reason = read(&bytes).unwrap_err();
+            let reason = read(&bytes, false).unwrap_err();
             assert!(reason.contains(expected), "{expected}: {reason}");
         }
         // These are the sizes of the layers, which the decoder would allocate.
         let bytes = sample("format_6.laz");
         let data_offset = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
-        let reason = read(&with(bytes, data_offset + 8 + 30 + 4, &many)).unwrap_err();
+        let reason = read(&with(bytes, data_offset + 8 + 30 + 4, &many), false).unwrap_err();
         assert!(reason.contains("damaged or cut short: 0 of 4 points"), "{reason}");
     }
 }

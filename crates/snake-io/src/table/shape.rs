@@ -16,14 +16,17 @@ pub(crate) struct Shape {
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The number of faces in the file that were not read.
     pub(crate) unread_faces: usize,
-    /// The share of the sampled surface that lies in one face, where it is most of a mesh of many faces.
-    pub(crate) dominant_face: Option<f64>,
+    /// What a user should know of the points, in sentences.
+    pub(crate) notes: Vec<String>,
     /// Where the sensor was, in the file's frame.
     pub(crate) viewpoint: Option<Position>,
 }
 
-/// A face is dominant with more than this share of the surface of at least so many faces.
+/// At most so many faces are dominant with more than this share of the surface of at least so many, if they are larger than
+/// the others together by this factor.
+const MAX_DOMINANT: usize = 4;
 const DOMINANT: (f64, usize) = (0.5, 20);
+const LARGER: f64 = 3.0;
 
 /// A larger number would fill the memory of most machines.
 const MAX_SAMPLES: usize = 100_000_000;
@@ -74,8 +77,7 @@ impl Shape {
             return Err(format!("faces of area {total:e} in all cannot be sampled"));
         }
         let areas = std::iter::zip(&sums, std::iter::once(&0.0).chain(&sums)).map(|(sum, before)| sum - before);
-        let share = areas.fold(0.0, f64::max) / total;
-        let is_dominant = share > DOMINANT.0 && sums.len() >= DOMINANT.1;
+        let notes = self.dominant_faces(areas.map(|area| area / total).collect()).into_iter().collect();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         // Rounding can exceed the last sum; then the last triangle with an area is used.
         let last = sums.partition_point(|&sum| sum < total);
@@ -89,7 +91,32 @@ impl Shape {
             std::array::from_fn(|axis| weights[0] * a[axis] + weights[1] * b[axis] + weights[2] * c[axis])
         };
         let points = (0..number).map(draw).collect();
-        Ok(Self { points, dominant_face: is_dominant.then_some(share), ..Self::default() })
+        Ok(Self { points, notes, ..Self::default() })
+    }
+
+    /// A sentence for the user where a few faces beside a mesh hold most of its surface. `shares` are those of the triangles.
+    fn dominant_faces(&self, shares: Vec<f64>) -> Option<String> {
+        let mut order: Vec<usize> = (0..shares.len()).collect();
+        order.sort_by(|&a, &b| shares[b].total_cmp(&shares[a]));
+        let held = |number: &usize| order[..*number].iter().map(|&face| shares[face]).sum::<f64>();
+        let number = (1..=MAX_DOMINANT.min(order.len())).find(|number| held(number) > DOMINANT.0)?;
+        let (large, small) = order.split_at(number);
+        let extent = |faces: &[usize]| {
+            let corners =
+                || faces.iter().flat_map(|&face| self.triangles[face]).map(|corner| self.points[corner as usize]);
+            let range = |axis: usize| {
+                let [low, high] = corners()
+                    .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
+                high - low
+            };
+            (0..3).map(range).fold(0.0, f64::max)
+        };
+        let is_dominant = shares.len() >= DOMINANT.1 && extent(large) > LARGER * extent(small);
+        is_dominant.then(|| {
+            let percent = 100.0 * held(&number);
+            let faces = if number == 1 { "one face holds".into() } else { format!("{number} faces hold") };
+            format!("{faces} {percent:.0} % of the mesh's surface, and so of the samples")
+        })
     }
 }
 
@@ -160,13 +187,19 @@ mod tests {
     fn a_face_with_most_of_the_surface_of_many_is_told() {
         let mut many = shape();
         many.triangles = [vec![[4, 5, 6]; 30], vec![[0, 1, 2]]].concat();
-        assert_eq!(many.sample(9, 0).unwrap().dominant_face, None);
+        assert!(many.sample(9, 0).unwrap().notes.is_empty());
         many.points[1] = [400.0, 0.0, 1.0];
-        let share = many.sample(9, 0).unwrap().dominant_face.unwrap();
-        assert!((share - 400.0 / 430.0).abs() < 1e-12, "{share}");
+        let notes = many.sample(9, 0).unwrap().notes;
+        assert_eq!(notes, ["one face holds 93 % of the mesh's surface, and so of the samples"]);
+        // A large square of two triangles.
+        many.points[2] = [400.0, 400.0, 1.0];
+        many.points[3] = [0.0, 400.0, 1.0];
+        many.triangles.push([0, 2, 3]);
+        let notes = many.sample(9, 0).unwrap().notes;
+        assert_eq!(notes, ["2 faces hold 100 % of the mesh's surface, and so of the samples"]);
         many.triangles.truncate(12);
         many.triangles.push([0, 1, 2]);
-        assert_eq!(many.sample(9, 0).unwrap().dominant_face, None, "few faces");
+        assert!(many.sample(9, 0).unwrap().notes.is_empty(), "few faces");
     }
 
     #[test]

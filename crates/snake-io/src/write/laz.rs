@@ -130,7 +130,8 @@ mod tests {
             let mut bytes = Vec::new();
             write(&mut bytes, keypoints, &source).unwrap();
             let mut positions = Vec::new();
-            let known = for_each_position(Cursor::new(&bytes), &mut |position| positions.push(position)).unwrap();
+            let known =
+                for_each_position(Cursor::new(&bytes), false, &mut |position| positions.push(position)).unwrap();
             assert_eq!((known, positions.len()), (Some(crs.clone()), keypoints.len()));
             for (position, keypoint) in positions.iter().zip(keypoints) {
                 let expected = add_origin(keypoint.position, origin);

@@ -163,6 +163,16 @@ pub fn adds_origin(path: &Path) -> bool {
     !matches!(extension(path).as_str(), "pcd" | "stl")
 }
 
+/// A sentence for a user where coordinates are written relative to an origin.
+pub fn origin_note(adds_origin: bool, [x, y, z]: [f64; 3]) -> Option<String> {
+    (!adds_origin && [x, y, z] != [0.0; 3]).then(|| {
+        format!(
+            "the coordinates are relative to the origin {x} {y} {z}, because this format holds about seven digits; add the \
+             origin to them, or write another format"
+        )
+    })
+}
+
 /// Writes points `(N, 3)` and adds the origin if [`adds_origin`]. The file is written whole or not at all, as by
 /// [`write_keypoints`].
 ///

@@ -87,6 +87,21 @@ pub struct Contradiction {
 }
 
 impl Alignment {
+    /// A sentence for a user who does not look at the parts, where there are several.
+    pub fn warning(&self) -> Option<String> {
+        let parts = self.parts.len();
+        (parts > 1).then(|| format!("the clouds are in {parts} parts, which nothing reliable connects"))
+    }
+
+    /// Adds what is to be said of the files of the clouds to the notes.
+    #[must_use]
+    pub fn with_notes_on_clouds(mut self, notes: &[Vec<String>]) -> Self {
+        for (cloud, notes) in notes.iter().enumerate() {
+            self.notes.extend(notes.iter().map(|note| format!("cloud {cloud} (from 0): {note}")));
+        }
+        self
+    }
+
     /// Converts the transforms from points relative to an origin (see
     /// [`Cloud`](snake_geometry::Cloud)) to points with their origins added. `origins` has one for
     /// each cloud.

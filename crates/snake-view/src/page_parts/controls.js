@@ -173,13 +173,15 @@ const count = (value) => value.toLocaleString("en").replaceAll(",", " ");
 
 /** The figures of a cloud, by name. */
 function figures(cloud) {
-  const { counts, normalization, points } = cloud;
+  const { counts, points } = cloud;
   const box = points.high.map((v, axis) => number(v - points.low[axis], 3)).join(" × ");
   const rows = [["points", count(cloud.num_points)]];
   if (cloud.num_skipped) rows.push(["skipped", count(cloud.num_skipped)]);
   if (cloud.num_encoded < cloud.num_points) rows.push(["encoded", count(cloud.num_encoded)]);
   if (points.count < cloud.num_points) rows.push(["shown", count(points.count)]);
-  rows.push(["extent", box], ["center", position(normalization.center, cloud)], ["scale", number(normalization.scale)]);
+  const middle = points.low.map((v, axis) => (v + points.high[axis]) / 2);
+  rows.push(["extent", box], ["middle", position(middle, cloud)]);
+  if (cloud.voxel_size) rows.push(["voxel", number(cloud.voxel_size)]);
   if (counts) rows.push(["queries", count(counts.queries)], ["occupied", count(counts.occupied)],
     ["above threshold", count(counts.above_threshold)], ["keypoints", count(counts.keypoints)]);
   if (cloud.surface) rows.push(["triangles", count(cloud.surface.count)]);

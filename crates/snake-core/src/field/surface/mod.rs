@@ -26,8 +26,8 @@ impl Field {
     /// along edges linear in the log-odds).
     ///
     /// The occupancy is that of a surface, not of an inside. A thin wall has a shell on both sides, which lies most of a
-    /// voxel from it. With [`MeshSurface::Middle`] both sides move to the ridge of the occupancy between them. Triangles and
-    /// normals stay those of the shell.
+    /// voxel from it. With [`MeshSurface::Middle`] both sides move to the ridge of the occupancy between them. Triangles stay those
+    /// of the shell, and so do normals, but where a triangle that moved faces another way.
     ///
     /// The surface is closed. The grid covers the box of the feature volume, which is the network's cube ±0.5 with its
     /// padding. Where the box cuts the occupied region, its face closes the surface. A field without a surface gives a
@@ -141,13 +141,14 @@ impl<'a> Grid<'a> {
                 value_at(&points.iter().map(|&point| normalization.to_network(point)).collect::<Vec<_>>())
             };
             middle::move_to_middle(&mut mesh.vertices, &mesh.normals, self.field.voxel_size(), value, &counter)?;
+            mesh.normals = normals(&mesh, &gradients);
         }
         Ok(mesh)
     }
 }
 
-/// For each vertex the direction of the negative gradient. On the faces of the box the gradient does not point inwards;
-/// there it is the direction of the adjacent triangles' normals.
+/// For each vertex the direction of the negative gradient, or of the adjacent triangles' normals where these oppose it: on the
+/// faces of the box, and where sides of the shell met.
 fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     let mut around = vec![[0.0; 3]; mesh.vertices.len()];
     for &triangle in &mesh.triangles {
@@ -158,11 +159,9 @@ fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     }
     let normals = around.into_iter().zip(gradients).map(|(around, gradient)| {
         let gradient = gradient.map(|v| -f64::from(v));
-        let points_out = (0..3).map(|axis| gradient[axis] * around[axis]).sum::<f64>() > 0.0;
-        match unit(if points_out { gradient } else { around }) {
-            [0.0, 0.0, 0.0] => [0.0, 0.0, 1.0],
-            normal => normal,
-        }
+        let agrees = (0..3).map(|axis| gradient[axis] * around[axis]).sum::<f64>() >= 0.0;
+        let directions = [if agrees { gradient } else { around }, around].map(unit);
+        directions.into_iter().find(|direction| *direction != [0.0; 3]).unwrap_or([0.0, 0.0, 1.0])
     });
     normals.collect()
 }
