@@ -94,7 +94,7 @@ PLANE = r": points of a plane need a third column, numpy.c_\[points, numpy.zeros
     ],
 )
 def test_arrays_of_wrong_shape_or_type_are_refused(model, field, array, found):
-    expected = r"expected real numbers of shape \(N, 3\) or more columns, found " + found
+    expected = r"expected real numbers of shape \(N, 3\) or more columns, or \(H, W, 3\), found " + found
     for call, what in ((model.encode, "points"), (field.occupancy, "queries"), (field.descriptors, "queries")):
         with pytest.raises(ValueError, match=f"^{what}: {expected}$"):
             call(array)
