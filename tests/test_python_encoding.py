@@ -87,7 +87,7 @@ PLANE = r": points of a plane need a third column, numpy.c_\[points, numpy.zeros
         (np.zeros((10, 3), object), r"object of shape \(10, 3\)"),
         (np.zeros((10, 3), bool), r"bool of shape \(10, 3\)"),
         (np.zeros(3), r"float64 of shape \(3,\)"),
-        (np.zeros((1, 10, 3)), r"float64 of shape \(1, 10, 3\)"),
+        (np.zeros((1, 10, 2)), r"float64 of shape \(1, 10, 2\)"),
         ([], r"float64 of shape \(0,\)"),
         (np.array("cloud.npy"), r"<U9 of shape \(\)"),
         (None, r"object of shape \(\)"),
