@@ -61,7 +61,7 @@ def test_organised_arrays_are_their_rows():
         assert np.array_equal(found.nearest_index, expected.nearest_index)
     assert np.allclose(points.reshape(-1, 3)[expected.nearest_index[0]], expected.points[0], atol=0.05)
     for wrong in ((3, 50, 80), (50, 80, 2), (2, 50, 80, 3)):
-        with pytest.raises(ValueError, match=r"\(N, 3\) or \(H, W, 3\)"):
+        with pytest.raises(ValueError, match=r"\(N, 3\) or more columns, or \(H, W, 3\)"):
             snake_rs.detect(np.zeros(wrong))
 
 

@@ -87,14 +87,14 @@ PLANE = r": points of a plane need a third column, numpy.c_\[points, numpy.zeros
         (np.zeros((10, 3), object), r"object of shape \(10, 3\)"),
         (np.zeros((10, 3), bool), r"bool of shape \(10, 3\)"),
         (np.zeros(3), r"float64 of shape \(3,\)"),
-        (np.zeros((1, 10, 3)), r"float64 of shape \(1, 10, 3\)"),
+        (np.zeros((1, 10, 2)), r"float64 of shape \(1, 10, 2\)"),
         ([], r"float64 of shape \(0,\)"),
         (np.array("cloud.npy"), r"<U9 of shape \(\)"),
         (None, r"object of shape \(\)"),
     ],
 )
 def test_arrays_of_wrong_shape_or_type_are_refused(model, field, array, found):
-    expected = r"expected real numbers of shape \(N, 3\) or more columns, found " + found
+    expected = r"expected real numbers of shape \(N, 3\) or more columns, or \(H, W, 3\), found " + found
     for call, what in ((model.encode, "points"), (field.occupancy, "queries"), (field.descriptors, "queries")):
         with pytest.raises(ValueError, match=f"^{what}: {expected}$"):
             call(array)

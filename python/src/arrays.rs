@@ -91,7 +91,7 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     let array = given.cast::<PyUntypedArray>()?;
     let refused = |why: &str| -> PyResult<PyErr> {
         let shape = array.getattr("shape")?;
-        let needed = "expected real numbers of shape (N, 3) or (H, W, 3) or more columns, found";
+        let needed = "expected real numbers of shape (N, 3) or more columns, or (H, W, 3), found";
         Ok(PyValueError::new_err(format!("{what}: {needed} {} of shape {shape}{why}", array.dtype())))
     };
     let (kind, size) = (array.dtype().kind(), array.dtype().itemsize());
