@@ -39,7 +39,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
     let mut known = AlignPriors::default().with_viewpoints(viewpoints).with_initial_poses(initial_poses);
     let clouds: Vec<Cloud> = contents.into_iter().map(|contents| contents.cloud).collect();
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    known.place(&mut options, &origins);
+    known.place(&origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
     // `align_with` makes the same check, but its error has only the number of the cloud.

@@ -73,7 +73,7 @@ impl Placed {
 /// # Errors
 /// The errors of [`register_with`](crate::register_with).
 pub(super) fn register_instances(pair: &Pair, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
-    let pair = &if pair.is_signed() { pair.without_signs().with_target_space() } else { pair.with_target_space() };
+    let pair = &pair.with_target_space();
     let votes = votes(pair, control)?;
     let placed = placed(pair, &votes, TRIED * pair_options.instances, control)?;
     let counter = control.begin("instances", pair_options.instances);
