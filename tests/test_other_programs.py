@@ -1,4 +1,4 @@
-"""Other programs read the keypoints of a city: LASzip and PDAL the LAZ, and copclib writes its COPC."""
+"""Other programs read the keypoints of a city: LASzip and PDAL the LAZ."""
 
 import json
 import shutil
@@ -65,20 +65,3 @@ def test_pdal_reads_laz(detect, found, tmp_path):
     assert np.abs(np.column_stack([read[axis] - found[axis.lower()] for axis in "XYZ"])).max() < 1e-6
     for name in ("saliency", "occupancy", "nearest_index"):
         assert np.allclose(read[name], found[name], rtol=1e-6), name
-
-
-def test_copc_of_copclib_has_the_same_keypoints(detect, found, tmp_path):
-    copclib = pytest.importorskip("copclib", reason="copclib is not tested: pip install copclib")
-    city = copclib.FileReader(str(CITY))
-    copy = tmp_path / "city.copc.laz"
-    writer = copclib.FileWriter(str(copy), city.copc_config)
-    for node in city.GetAllNodes():
-        writer.AddNode(node.key, city.GetPoints(node))
-    writer.Close()
-    assert copy.read_bytes() != CITY.read_bytes()
-    rows = json.loads(detect("of_copclib.json", copy).read_text())["keypoints"]
-    # The nodes follow each other in another order, and so do the points whose features are added.
-    for column in ("x", "y", "z"):
-        assert np.allclose([row[column] for row in rows], found[column], rtol=0, atol=1e-5), column
-    for column in ("saliency", "occupancy"):
-        assert np.allclose([row[column] for row in rows], found[column], rtol=0, atol=1e-5), column

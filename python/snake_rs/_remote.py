@@ -105,15 +105,15 @@ class RemoteFile:
         """The bytes of a range."""
         return retried(lambda: bytes(self.files.cat_file(self.path, start=start, end=end)), self.url)
 
-    @property
-    def copy_name(self) -> str:
-        """The name of the copy of this version in the folder of a run."""
+    def copy_to(self, folder: Path) -> Path:
+        """The copy of this version in the folder of a run, which is made unless it is there. It bears the name of a temporary file."""
         key = hashlib.sha256(f"{self.url} {self.version} {self.length}".encode()).hexdigest()[:16]
-        return f"inputs/{key}/{posixpath.basename(self.path)}"
-
-    def copy_to(self, path: str | os.PathLike[str]) -> None:
-        """Copies the file to a path."""
-        retried(lambda: self.files.get_file(self.path, os.fspath(path)), self.url)
-        size = os.path.getsize(path)
-        if size != self.length:
-            raise OSError(f"{self.url}: {size} bytes came instead of {self.length}")
+        copy = folder / ".snake-rs.inputs.part" / key / posixpath.basename(self.path)
+        if not copy.exists():
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            part = copy.with_name(f"{os.getpid()}.part")
+            retried(lambda: self.files.get_file(self.path, str(part)), self.url)
+            if (size := part.stat().st_size) != self.length:
+                raise OSError(f"{self.url}: {size} bytes came instead of {self.length}")
+            part.replace(copy)
+        return copy

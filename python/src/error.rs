@@ -35,7 +35,6 @@ pub fn tiles_error(error: snake_tiles::Error) -> PyErr {
         snake_tiles::Error::Core(error) => py_error(error),
         snake_tiles::Error::Input(error) => file_error(error),
         snake_tiles::Error::File { path, source } => os_error(path, &source),
-        error @ snake_tiles::Error::InUse { .. } => PyOSError::new_err(error.to_string()),
         other => value_error(&other.to_string()),
     }
 }

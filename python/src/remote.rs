@@ -9,16 +9,15 @@ use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_io::{Copc, LocalFile, POINT_EXTENSIONS, Ranges};
-use snake_tiles::RunFolder;
 
-use crate::error::{file_error, tiles_error};
+use crate::error::file_error;
 
 /// The files of a cloud.
 pub enum Inputs {
     /// COPC files, at least one of them behind a URL; and the objects that read those behind URLs, or paths.
     Copc(Vec<Copc>, Vec<Py<PyAny>>),
-    /// Files on disk, and the folder that has the copies among them.
-    Local(Vec<PathBuf>, Option<RunFolder>),
+    /// Files on disk.
+    Local(Vec<PathBuf>),
 }
 
 impl Inputs {
@@ -45,7 +44,7 @@ impl Inputs {
         }
         let paths = expanded;
         if paths.iter().all(|path| url(path).is_none()) {
-            return Ok(Self::Local(paths, None));
+            return Ok(Self::Local(paths));
         }
         let class = module.getattr("RemoteFile")?;
         let file = |path: &PathBuf| match url(path) {
@@ -56,13 +55,11 @@ impl Inputs {
         if let Some(copc) = open_all(py, &files)? {
             return Ok(Self::Copc(copc, files));
         }
-        let folder = RunFolder::claim(folder).map_err(tiles_error)?;
         let local = |(path, file): (&PathBuf, &Py<PyAny>)| match url(path) {
-            Some(_) => copy(file.bind(py), &folder),
+            Some(_) => file.bind(py).call_method1("copy_to", (folder,))?.extract(),
             None => Ok(path.clone()),
         };
-        let local = paths.iter().zip(&files).map(local).collect::<PyResult<_>>()?;
-        Ok(Self::Local(local, Some(folder)))
+        Ok(Self::Local(paths.iter().zip(&files).map(local).collect::<PyResult<_>>()?))
     }
 
     /// The part that a pickle of the tiles needs.
@@ -72,17 +69,6 @@ impl Inputs {
             Self::Local(..) => Vec::new(),
         }
     }
-}
-
-/// Copies a file to a folder, unless this version is there.
-fn copy(file: &Bound<'_, PyAny>, folder: &RunFolder) -> PyResult<PathBuf> {
-    let name: String = file.getattr("copy_name")?.extract()?;
-    if let Some(path) = folder.copied(&name) {
-        return Ok(path);
-    }
-    let part = folder.begin_copy(&name).map_err(tiles_error)?;
-    file.call_method1("copy_to", (part,))?;
-    folder.finish_copy(&name).map_err(tiles_error)
 }
 
 /// Opens files, given by their paths or as `RemoteFile`; `None` when not all are COPC files, or without files.

@@ -18,9 +18,8 @@ use crate::{options, remote, threads};
 
 /// Splits a cloud that does not fit into memory into tiles of about `tile` cloud units along x and y. `paths` is the path of a
 /// file or of a folder of clouds, or a list of paths, that make up one cloud. Its points are written to `folder`, 20 bytes
-/// each; the folder then gets the results of the tiles. The same call with a folder that has this run continues it. The folder
-/// must be new, empty or that of an earlier run; files of a run of other inputs or options are removed from it. It belongs to this
-/// process, and to those that get the tiles by pickle, until the tiles are deleted.
+/// each; the folder then gets the results of the tiles. The same call continues the run there, also in several processes at a
+/// time. The folder must be new, empty or of the same inputs, model and options.
 ///
 /// COPC files are not copied: each tile reads its part of them. A path may be a URL that fsspec opens, such as
 /// `s3://bucket/city.copc.laz` or `https://..`, and `s3://bucket/city/` for a folder; `storage_options` are those of its file system. Of COPC files ranges of bytes
@@ -32,8 +31,8 @@ use crate::{options, remote, threads};
 /// `Tiles.failures`.
 ///
 /// Raises ValueError for an invalid value, an option that needs the whole cloud, coordinates in degrees, or files of different
-/// coordinate reference systems, or a folder with files that no run wrote; OSError for a file or a folder that cannot be read or
-/// written, or that another process uses.
+/// coordinate reference systems, or a folder with another run or with files that no run wrote; OSError for a file or a folder that
+/// cannot be read or written.
 #[pyfunction]
 #[pyo3(signature = (paths, tile, folder, model=None, storage_options=None, **options))]
 pub fn tiles(
@@ -62,8 +61,7 @@ pub fn tiles(
     let remote = inputs.remote(py);
     Tiles::new(py, model, &resolved, remote, move |detector| match inputs {
         remote::Inputs::Copc(files, _) => TiledRun::prepare_copc(detector, files, tile, &folder),
-        // The copies stay locked until the run has them.
-        remote::Inputs::Local(paths, _copies) => TiledRun::prepare(detector, &paths, &read, tile, &folder),
+        remote::Inputs::Local(paths) => TiledRun::prepare(detector, &paths, &read, tile, &folder),
     })
 }
 
@@ -146,7 +144,7 @@ impl Tiles {
         Some(self.run.options().detect.max_keypoints).filter(|number| *number < usize::MAX)
     }
 
-    /// Detects one tile and writes the result to the folder, unless it is there. Raises ValueError for damaged files of the
+    /// Detects one tile and writes the result to the folder, unless it is there. Raises ValueError for damaged points in the
     /// folder, OSError for files that cannot be read or written, IndexError for another number than those of the tiles.
     fn detect(&self, py: Python<'_>, tile: usize) -> PyResult<()> {
         let tile = self.tile(tile)?;
@@ -159,10 +157,10 @@ impl Tiles {
         Ok(py.detach(|| self.run.is_detected(tile)))
     }
 
-    /// Looks at the results in the folder, once all tiles are detected.
-    fn detected(&self, py: Python<'_>) -> DetectedTiles {
-        let detected = py.detach(|| self.run.detected());
-        DetectedTiles { run: self.run.clone(), detected }
+    /// Looks at the results in the folder, once all tiles are detected. Raises as `Tiles.detect`.
+    fn detected(&self, py: Python<'_>) -> PyResult<DetectedTiles> {
+        let detected = py.detach(|| self.run.detected()).map_err(tiles_error)?;
+        Ok(DetectedTiles { run: self.run.clone(), detected })
     }
 
     /// The keypoints of the whole cloud, with the bits of `detect`. `timing_seconds` are 0. Raises ValueError when tiles are

@@ -9,9 +9,9 @@ use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::Copc;
 
 use crate::Result;
-use crate::folder::RunFolder;
+use crate::folder::{PLAN, RunFolder};
 use crate::plan::{Plan, Source, Tile, place, version};
-use crate::run::{Extent, TiledRun, choose_voxel_size, columns_of, is_kept, widen};
+use crate::run::{Extent, TiledRun, choose_voxel_size, columns_of, widen};
 
 /// A rectangle without an end.
 const EVERYWHERE: [[f64; 2]; 2] = [[f64::NEG_INFINITY; 2], [f64::INFINITY; 2]];
@@ -28,41 +28,40 @@ impl TiledRun {
             files.iter().try_for_each(|file| Ok(file.for_each_position_in(EVERYWHERE, &mut |_, at| found(at))?))
         })?;
         let columns = columns_of(&detector, side)?;
-        let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
         let versions = files.iter().map(|file| version(file.source())).collect::<Result<_>>()?;
         let source = Source::from_copc(&files, columns, detector.settings());
-        let id = source.id()?;
-        if let Some(mut plan) = Plan::read(&folder, &source) {
-            folder.mend(plan.names())?;
+        let folder = RunFolder::new(folder, source.id()?)?;
+        if folder.has(PLAN) {
+            let mut plan = Plan::read(&folder)?;
             if plan.versions != versions {
                 plan.versions = versions;
                 plan.write(&folder)?;
             }
-            return Self { detector, plan, id, folder, copc: files }.resolved();
+            return Self { detector, plan, folder, copc: files }.placed();
         }
         let mut extent = Extent::default();
         for file in &files {
             [file.bounds().low, file.bounds().high].into_iter().for_each(|corner| extent.bounds.add(corner));
             extent.add_crs(file.source().path(), file.crs().cloned())?;
         }
-        let Extent { bounds, crs, .. } = extent.checked()?;
-        let mut plan = Plan::new(source, versions, &bounds, crs, Vec::new());
-        detector.set_lowest_corner(plan.lowest_corner);
-        plan.num_points = files.iter().map(Copc::num_points).sum();
-        plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
-        folder.clear(|name| is_kept(&folder, name, &id))?;
-        Self { detector, plan, id, folder, copc: files }.measured()
+        let bounds = extent.bounds;
+        let plan = Plan::new(source, versions, extent.checked()?);
+        Self { detector, plan, folder, copc: files }.begun(|run| {
+            run.plan.num_points = run.copc.iter().map(Copc::num_points).sum();
+            run.plan.tiles = tiles(&run.detector, &run.plan, &run.copc, &bounds)?;
+            Ok(())
+        })
     }
 
     /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
     ///
     /// # Errors
-    /// As [`TiledRun::open`], and [`crate::Error::Damaged`] when a file has changed.
+    /// As [`TiledRun::open`], also when a file has changed.
     pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
-        let folder = RunFolder::join(folder)?;
-        let plan = Plan::from_settings(&folder, &detector.settings())?;
+        let folder = RunFolder::open(folder)?;
+        let plan = Plan::open(&folder, &detector.settings())?;
         plan.check_files(&folder, &files)?;
-        Self { detector, id: plan.source.id()?, plan, folder, copc: files }.resolved()
+        Self { detector, plan, folder, copc: files }.placed()
     }
 
     /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.

@@ -12,8 +12,6 @@ use crate::{Error, Result};
 /// A summary of a tile's candidates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Summary {
-    /// The run that found them, see [`crate::plan::Source::id`].
-    pub(crate) run: String,
     /// The lowest and the highest x and y; `None` without candidates.
     pub(crate) bounds: Option<[[f32; 2]; 2]>,
     pub(crate) counts: Counts,
@@ -25,7 +23,7 @@ pub(crate) fn name([x, y]: [i32; 2]) -> String {
 }
 
 /// Writes the candidates of the tile at a place.
-pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &TileCandidates) -> Result<()> {
+pub(crate) fn write(folder: &RunFolder, place: [i32; 2], found: &TileCandidates) -> Result<()> {
     let candidates = &found.candidates;
     let widened = |bounds: Option<[[f32; 2]; 2]>, candidate: &Candidate| {
         let [x, y, _] = candidate.position;
@@ -33,7 +31,7 @@ pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &Tile
         Some([[low[0].min(x), low[1].min(y)], [high[0].max(x), high[1].max(y)]])
     };
     let bounds = candidates.iter().fold(None, widened);
-    let summary = Summary { run: run.into(), bounds, counts: found.counts };
+    let summary = Summary { bounds, counts: found.counts };
     let positions: Vec<u8> = candidates.iter().flat_map(|c| bytemuck::cast::<_, [u8; 12]>(c.position)).collect();
     let cells: Vec<u8> = candidates.iter().flat_map(|c| bytemuck::cast::<_, [u8; 12]>(c.cell)).collect();
     let of = |value: fn(&Candidate) -> f32| -> Vec<u8> {
@@ -55,24 +53,25 @@ pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &Tile
         safetensors::serialize(tensors, Some(metadata)).map_err(std::io::Error::other)
     };
     let name = name(place);
-    folder.write(&name, &serialized().map_err(Error::file(&folder.path().join(&name)))?)
+    folder.write(&name, &serialized().map_err(Error::file(&folder.path.join(&name)))?)
 }
 
-/// Reads the summary of a file of candidates. All of the file is read, for its checksum.
-pub(crate) fn read_summary(folder: &RunFolder, name: &str) -> Result<Summary> {
-    let bytes = folder.read(name)?;
+/// Reads the summary of the candidates of the tile at a place.
+pub(crate) fn read_summary(folder: &RunFolder, place: [i32; 2]) -> Result<Summary> {
+    let name = name(place);
+    let bytes = folder.read(&name)?;
     let summary = || {
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| e.to_string())?;
         let summary = header.metadata().as_ref().and_then(|metadata| metadata.get("summary"));
         serde_json::from_str(summary.ok_or("no summary")?).map_err(|e| e.to_string())
     };
-    summary().map_err(|reason| Error::Damaged { path: folder.path().join(name), reason })
+    summary().map_err(|reason: String| Error::damaged(&folder.path.join(name), &reason))
 }
 
 /// Reads the candidates of the tile at a place.
 pub(crate) fn read(folder: &RunFolder, place: [i32; 2]) -> Result<Vec<Candidate>> {
     let name = name(place);
-    parse(&folder.read(&name)?).map_err(|reason| Error::Damaged { path: folder.path().join(&name), reason })
+    parse(&folder.read(&name)?).map_err(|reason| Error::damaged(&folder.path.join(&name), &reason))
 }
 
 fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {

@@ -24,23 +24,13 @@ pub enum Error {
         /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A file of the run's folder has another content than was written.
+    /// A file of the run's folder has another content than the run wrote.
     #[error("{}: {}", shortened_value(&path.display()), shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
         /// The fault.
         reason: String,
-    },
-    /// Another process uses the folder.
-    #[error("{} is in use by {holder}; {advice}", folder.display())]
-    InUse {
-        /// The folder.
-        folder: PathBuf,
-        /// The process and its host.
-        holder: String,
-        /// The way out.
-        advice: String,
     },
     /// Tiles have no result, so that their keypoints would be missing.
     #[error("{} of {total} tiles are missing: {}; detect them first", missing.len(), places(missing))]
@@ -76,20 +66,32 @@ impl Error {
         move |source| Self::File { path, source }
     }
 
-    /// The error of a file whose checksum does not fit.
-    pub(crate) fn damaged(path: &Path) -> Self {
-        let reason = "is damaged: its checksum does not fit; the same run writes it again".into();
+    /// The error of a file that the run did not leave like this.
+    pub(crate) fn damaged(path: &Path, fault: &str) -> Self {
+        let reason = format!("is damaged: {fault}; remove the folder of the tiles, and begin again");
         Self::Damaged { path: path.into(), reason }
     }
 
     /// The error of a file in the run's folder that no run wrote.
-    pub(crate) fn not_own(folder: &Path, name: &Path) -> Self {
-        let reason = format!(
-            "{} has `{}`, which no run wrote; move it away, or name a `folder` that is new or empty",
-            folder.display(),
-            name.display()
-        );
-        Self::Refused { what: "the folder of the tiles", reason }
+    pub(crate) fn not_own(folder: &Path, name: &str) -> Self {
+        let fault = format!("has `{name}`, which no run wrote; move it away, or name a `folder` that is new or empty");
+        Self::folder(folder, &fault)
+    }
+
+    /// The error of a folder with the run of another id.
+    pub(crate) fn other_run(folder: &Path) -> Self {
+        let fault = "has the tiles of other inputs, options or weights, or of another version; remove it, or name a `folder` \
+                     that is new or empty";
+        Self::folder(folder, fault)
+    }
+
+    /// The error of a process whose run another one has removed.
+    pub(crate) fn removed(folder: &Path) -> Self {
+        Self::folder(folder, "is no longer there: another process with the same run ended and removed it")
+    }
+
+    fn folder(folder: &Path, fault: &str) -> Self {
+        Self::Refused { what: "the folder of the tiles", reason: format!("{} {fault}", folder.display()) }
     }
 }
 

@@ -51,7 +51,7 @@ impl TiledRun {
     /// [`Error::Missing`] when not all tiles are detected; [`Error::File`] and [`Error::Damaged`] for the files of the
     /// folder; [`snake_core::Error::Cancelled`] and the like.
     pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
-        let detected = self.detected();
+        let detected = self.detected()?;
         if !detected.missing.is_empty() {
             return Err(Error::Missing { missing: detected.missing, total: self.tiles().len() });
         }
@@ -80,17 +80,19 @@ impl TiledRun {
     }
 
     /// Looks at the candidates in the folder, once all tiles are detected.
-    pub fn detected(&self) -> Detected {
-        let (mut summaries, mut counts, mut missing) = (Vec::new(), Counts::default(), Vec::new());
-        for tile in self.tiles() {
-            let Some(summary) = self.summary(tile) else {
-                missing.push(*tile);
-                continue;
-            };
+    ///
+    /// # Errors
+    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed it.
+    pub fn detected(&self) -> Result<Detected> {
+        let (mut summaries, mut counts) = (Vec::new(), Counts::default());
+        let (there, missing): (Vec<Tile>, _) = self.tiles().iter().partition(|tile| self.is_detected(tile));
+        self.folder.check()?;
+        for tile in there {
+            let summary = candidates::read_summary(&self.folder, tile.place)?;
             counts.add(&summary.counts);
             summaries.push((tile.place, summary));
         }
-        Detected { summaries, counts, missing }
+        Ok(Detected { summaries, counts, missing })
     }
 
     /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then as [`TiledKeypoint::start`] says, are those

@@ -12,8 +12,7 @@
 //!
 //! The keypoints have the bits of [`snake_core::Model::detect`] on the whole cloud, for any size of the tiles. Memory grows
 //! with the largest tile and the number of keypoints. A step whose result is in the folder is not repeated, so an
-//! interrupted run continues where it was. The folder belongs to one process at a time, each file has a checksum, and files that no
-//! run wrote are neither written nor removed ([`RunFolder`]).
+//! interrupted run continues where it was. A folder with another run, or with files that no run wrote, is refused.
 //!
 //! ```
 //! use snake_core::{Builtin, Control, Model, TileDetector};
@@ -39,14 +38,12 @@ mod candidates;
 mod error;
 mod folder;
 mod keypoints;
-mod lock;
 mod nearest;
 mod plan;
 mod points;
 mod run;
 
 pub use error::{Error, Result};
-pub use folder::RunFolder;
 pub use keypoints::{Detected, TiledDetection, TiledKeypoint};
 pub use plan::{Failure, Tile};
 pub use run::TiledRun;

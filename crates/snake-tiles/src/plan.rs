@@ -1,14 +1,16 @@
 //! The plan of a run: its inputs, and its tiles.
 
+use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
-use snake_geometry::{Bounds, Point, subtract_origin};
+use snake_geometry::{Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, Ranges};
 
-use crate::folder::{PLAN, RunFolder, digest_of};
+use crate::folder::{PLAN, RunFolder};
+use crate::run::Extent;
 use crate::{Error, Result, candidates, points};
 
 /// Everything that decides the candidates of a run.
@@ -54,22 +56,21 @@ impl Source {
         }
     }
 
-    /// Stands in the candidates, so that those of another run are not taken for those of this one.
+    /// The id of the run, which its folder carries.
     pub(crate) fn id(&self) -> Result<String> {
         let text = serde_json::to_vec(self).map_err(|error| Error::file(Path::new(PLAN))(error.into()))?;
-        Ok(blake3::hash(&text).to_string())
+        Ok(blake3::hash(&text).to_hex()[..32].into())
     }
 }
 
 /// The name and the content of a file. A file that cannot be read is a failure of the run, which its plan names.
 fn content(file: &dyn Ranges) -> (PathBuf, String) {
     let path = file.path().to_owned();
-    let content = if path.is_file() {
-        digest_of(&path)
-    } else {
-        file.length().and_then(|length| Ok(format!("{length} bytes, {}", file.version()?)))
-    };
-    (path, content.unwrap_or_else(|error| error.to_string()))
+    let digest = || Ok(blake3::Hasher::new().update_reader(File::open(&path)?)?.finalize().to_string());
+    let words = || Ok(format!("{} bytes, {}", file.length()?, file.version()?));
+    let content = if path.is_file() { digest() } else { words() };
+    let content = content.unwrap_or_else(|error: std::io::Error| error.to_string());
+    (path, content)
 }
 
 /// The size and the version of a file, for files on disk the time of the last change: quicker to tell than its content.
@@ -117,19 +118,12 @@ pub(crate) struct Plan {
     pub(crate) resolution: Option<f64>,
     /// By place, ascending.
     pub(crate) tiles: Vec<Tile>,
-    /// The digests of the tiles' points; none when they are read by bounds.
-    pub(crate) digests: Vec<String>,
 }
 
 impl Plan {
     /// A plan before its tiles.
-    pub(crate) fn new(
-        source: Source,
-        versions: Vec<Version>,
-        bounds: &Bounds,
-        crs: Option<Crs>,
-        failures: Vec<Failure>,
-    ) -> Self {
+    pub(crate) fn new(source: Source, versions: Vec<Version>, cloud: Extent) -> Self {
+        let Extent { bounds, crs, failures, .. } = cloud;
         let origin = bounds.origin();
         let lowest_corner = subtract_origin(bounds.low, origin);
         Self {
@@ -143,31 +137,20 @@ impl Plan {
             failures,
             resolution: None,
             tiles: Vec::new(),
-            digests: Vec::new(),
         }
     }
 
-    /// Whether the points of all tiles are on disk, undamaged. All of them are read.
-    pub(crate) fn points_fit(&self, folder: &RunFolder) -> bool {
-        let mut tiles = self.tiles.iter().zip(&self.digests);
-        tiles.all(|(tile, digest)| points::for_each_point(folder, tile.place, digest, |_, _| ()).is_ok())
+    /// The plan in a folder.
+    pub(crate) fn read(folder: &RunFolder) -> Result<Self> {
+        let damaged = |error: serde_json::Error| Error::damaged(&folder.path.join(PLAN), &error.to_string());
+        serde_json::from_slice(&folder.read(PLAN)?).map_err(damaged)
     }
 
-    /// The plan in a folder, if it is complete and from the same source.
-    pub(crate) fn read(folder: &RunFolder, source: &Source) -> Option<Self> {
-        let plan: Self = serde_json::from_slice(&folder.read(PLAN).ok()?).ok()?;
-        (plan.source == *source).then_some(plan)
-    }
-
-    /// The plan in a folder, for any inputs. It must have the settings.
-    pub(crate) fn from_settings(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
-        let bytes = folder.read(PLAN)?;
-        let damaged = |reason| Error::Damaged { path: folder.path().join(PLAN), reason };
-        let plan: Self = serde_json::from_slice(&bytes).map_err(|error| damaged(error.to_string()))?;
-        if plan.source.settings != *settings || plan.source.version != env!("CARGO_PKG_VERSION") {
-            return Err(damaged("is of another model, other options or another version".into()));
-        }
-        Ok(plan)
+    /// The plan in a folder that another process made with these settings.
+    pub(crate) fn open(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
+        let plan = Self::read(folder)?;
+        let is_same = plan.source.settings == *settings && plan.source.version == env!("CARGO_PKG_VERSION");
+        if is_same { Ok(plan) } else { Err(Error::other_run(&folder.path)) }
     }
 
     /// The paths of the input files.
@@ -182,24 +165,11 @@ impl Plan {
         if self.source.by_bounds && self.versions == versions && self.files().eq(paths) {
             return Ok(());
         }
-        let reason = "is of other files, or a file has changed".into();
-        Err(Error::Damaged { path: folder.path().join(PLAN), reason })
-    }
-
-    /// Refuses to go on in a folder that another run has taken over.
-    pub(crate) fn check_folder(&self, folder: &RunFolder) -> Result<()> {
-        match Self::read(folder, &self.source) {
-            Some(_) => Ok(()),
-            None => {
-                let reason = "is no longer that of this run: another run has begun in the folder".into();
-                Err(Error::Damaged { path: folder.path().join(PLAN), reason })
-            }
-        }
+        Err(Error::other_run(&folder.path))
     }
 
     pub(crate) fn write(&self, folder: &RunFolder) -> Result<()> {
-        folder.list([PLAN.into()].into_iter().chain(self.names()))?;
-        let text = serde_json::to_vec(self).map_err(|error| Error::file(&folder.path().join(PLAN))(error.into()))?;
+        let text = serde_json::to_vec(self).map_err(|error| Error::file(&folder.path.join(PLAN))(error.into()))?;
         folder.write(PLAN, &text)
     }
 
@@ -228,13 +198,12 @@ impl Plan {
         })
     }
 
-    /// The tiles that have columns in a range, with the digests of their points.
-    pub(crate) fn tiles_in(&self, columns: &[Range<i32>; 2]) -> impl Iterator<Item = (&Tile, &String)> {
+    /// The tiles that have columns in a range.
+    pub(crate) fn tiles_in(&self, columns: &[Range<i32>; 2]) -> impl Iterator<Item = &Tile> {
         let [x, y] = columns.clone().map(|range| place(self.source.columns, [range.start, range.end - 1]));
         let first = self.tiles.partition_point(|tile| tile.place[0] < x[0]);
         let end = self.tiles.partition_point(|tile| tile.place[0] <= x[1]);
-        let tiles = self.tiles.iter().zip(&self.digests).take(end).skip(first);
-        tiles.filter(move |(tile, _)| (y[0]..=y[1]).contains(&tile.place[1]))
+        self.tiles[first..end].iter().filter(move |tile| (y[0]..=y[1]).contains(&tile.place[1]))
     }
 }
 

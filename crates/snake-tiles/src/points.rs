@@ -5,18 +5,19 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 
 use snake_geometry::Point;
 use snake_io::sync_folder;
 
 use crate::folder::RunFolder;
+use crate::plan::Tile;
 use crate::{Error, Result};
 
 /// Bytes of a point.
 const RECORD: usize = 20;
 
-/// Bytes that wait in memory before they are appended to their files.
+/// Bytes that wait in memory before they are written to their files.
 const BUFFERED: usize = 128 << 20;
 
 /// Bytes that are read at once: whole points.
@@ -27,18 +28,11 @@ pub(crate) fn name([x, y]: [i32; 2]) -> String {
     format!("points/{x}_{y}.bin")
 }
 
-/// The points of a tile that are collected.
-#[derive(Default)]
-struct Written {
-    buffer: Vec<u8>,
-    number: u64,
-    digest: blake3::Hasher,
-}
-
 /// Sorts points into the files of their tiles.
 pub(crate) struct PointWriter<'a> {
     folder: &'a RunFolder,
-    tiles: BTreeMap<[i32; 2], Written>,
+    /// The number of points of each tile, and the bytes of the last ones that wait.
+    tiles: BTreeMap<[i32; 2], (u64, Vec<u8>)>,
     buffered: usize,
 }
 
@@ -49,66 +43,71 @@ impl<'a> PointWriter<'a> {
 
     /// Adds a point to the tile at a place.
     pub(crate) fn add(&mut self, place: [i32; 2], point: Point, index: u64) -> Result<()> {
-        let tile = self.tiles.entry(place).or_default();
-        point.iter().for_each(|v| tile.buffer.extend(v.to_le_bytes()));
-        tile.buffer.extend(index.to_le_bytes());
-        tile.number += 1;
+        let (number, buffer) = self.tiles.entry(place).or_default();
+        point.iter().for_each(|v| buffer.extend(v.to_le_bytes()));
+        buffer.extend(index.to_le_bytes());
+        *number += 1;
         self.buffered += RECORD;
-        if self.buffered >= BUFFERED { self.flush() } else { Ok(()) }
+        if self.buffered >= BUFFERED { self.write() } else { Ok(()) }
     }
 
-    fn flush(&mut self) -> Result<()> {
-        self.folder.list(self.tiles.keys().map(|&place| name(place)))?;
-        for (&place, tile) in &mut self.tiles {
-            let path = self.folder.own(&name(place))?;
-            let file = File::options().append(true).create(true).open(&path);
-            file.and_then(|mut file| file.write_all(&tile.buffer)).map_err(Error::file(&path))?;
-            tile.digest.update(&tile.buffer);
-            tile.buffer = Vec::new();
+    /// Writes the points that wait, over those of a run that was killed.
+    fn write(&mut self) -> Result<()> {
+        for (&place, (number, buffer)) in &mut self.tiles {
+            let path = self.folder.to_write(&name(place))?;
+            let start = *number * RECORD as u64 - buffer.len() as u64;
+            let write = || {
+                let mut file = File::options().write(true).create(true).truncate(false).open(&path)?;
+                file.seek(SeekFrom::Start(start))?;
+                file.write_all(buffer)
+            };
+            write().map_err(Error::file(&path))?;
+            *buffer = Vec::new();
         }
         self.buffered = 0;
         Ok(())
     }
 
-    /// Writes the remaining points, and waits until all are on the disk. Returns the number of points of each tile by place, and the
-    /// digest of its file.
-    pub(crate) fn finish(mut self) -> Result<Vec<([i32; 2], u64, String)>> {
-        self.flush()?;
+    /// Writes the remaining points, and waits until all are on the disk.
+    pub(crate) fn finish(&mut self) -> Result<()> {
+        self.write()?;
         for &place in self.tiles.keys() {
-            let path = self.folder.own(&name(place))?;
+            let path = self.folder.to_write(&name(place))?;
             File::open(&path).and_then(|file| file.sync_all()).map_err(Error::file(&path))?;
         }
-        sync_folder(&self.folder.path().join("points"));
-        let tiles = self.tiles.into_iter();
-        Ok(tiles.map(|(place, tile)| (place, tile.number, tile.digest.finalize().to_string())).collect())
+        sync_folder(&self.folder.path.join("points"));
+        Ok(())
+    }
+
+    /// The tiles by place.
+    pub(crate) fn tiles(&self) -> Vec<Tile> {
+        self.tiles.iter().map(|(&place, &(num_points, _))| Tile { place, num_points }).collect()
     }
 }
 
-/// Calls `found` with each point of the tile at a place and its index.
+/// Calls `found` with each point of a tile and its index.
 ///
 /// # Errors
-/// [`Error::File`], and [`Error::Damaged`] at the end of a file with another content than was written.
-pub(crate) fn for_each_point(
-    folder: &RunFolder,
-    place: [i32; 2],
-    digest: &str,
-    mut found: impl FnMut(Point, u64),
-) -> Result<()> {
-    let path = folder.path().join(name(place));
+/// [`Error::File`], and [`Error::Damaged`] at the end of a file that has another number of points than the tile.
+pub(crate) fn for_each_point(folder: &RunFolder, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
+    let path = folder.path.join(name(tile.place));
     let mut file = File::open(&path).map_err(Error::file(&path))?;
-    let (mut hasher, mut part) = (blake3::Hasher::new(), Vec::new());
+    let (mut length, mut part) = (0, Vec::new());
     loop {
         part.clear();
-        (&mut file).take(PART).read_to_end(&mut part).map_err(Error::file(&path))?;
-        if part.is_empty() {
-            break;
-        }
-        hasher.update(&part);
+        length += (&mut file).take(PART).read_to_end(&mut part).map_err(Error::file(&path))? as u64;
         for record in part.as_chunks::<RECORD>().0 {
             let (axes, _) = record.as_chunks::<4>();
             let [low, high] = [axes[3], axes[4]].map(|half| u64::from(u32::from_le_bytes(half)));
             found(std::array::from_fn(|axis| f32::from_le_bytes(axes[axis])), high << 32 | low);
         }
+        if part.is_empty() {
+            break;
+        }
     }
-    if hasher.finalize().to_string() == *digest { Ok(()) } else { Err(Error::damaged(&path)) }
+    if length == tile.num_points * RECORD as u64 {
+        Ok(())
+    } else {
+        Err(Error::damaged(&path, "its length is another one"))
+    }
 }

@@ -8,8 +8,8 @@ use snake_core::{Control, Options, TileDetector};
 use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
-use crate::candidates::{self, Summary};
-use crate::folder::RunFolder;
+use crate::candidates;
+use crate::folder::{PLAN, RunFolder};
 use crate::plan::{Failure, Plan, Source, Tile, Version, place, version};
 use crate::points::{PointWriter, for_each_point};
 use crate::{Error, Result};
@@ -19,8 +19,6 @@ use crate::{Error, Result};
 pub struct TiledRun {
     pub(crate) detector: TileDetector,
     pub(crate) plan: Plan,
-    /// See [`Source::id`].
-    pub(crate) id: String,
     pub(crate) folder: RunFolder,
     /// The COPC files that have the points; none when the folder has them.
     pub(crate) copc: Vec<Copc>,
@@ -30,17 +28,16 @@ impl TiledRun {
     /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run that is there.
     /// The files make up one cloud, in their order.
     ///
-    /// The folder must be new, empty or that of an earlier run, and belongs to this process until its last run there is
-    /// dropped. Files of other inputs or options are removed from it, and damaged ones are made anew.
+    /// The folder must be new, empty or of the same run. Several processes may use it at a time: they write the same bytes.
     ///
     /// COPC files are not copied: if all files are such, this is [`TiledRun::prepare_copc`]. Files that cannot be read are left
     /// out, see [`TiledRun::failures`].
     ///
     /// # Errors
-    /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, and
-    /// for files of different coordinate reference systems, for a folder with files that no run wrote, and for inputs that
-    /// change while they are read; [`Error::InUse`] when another process has the folder; [`Error::Input`] when no file can
-    /// be read; [`Error::File`] when the folder cannot be written; [`Error::Core`] when the voxel size does not suit the cloud.
+    /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, for
+    /// files of different coordinate reference systems, for a folder with another run or with files that no run wrote, and for
+    /// inputs that change while they are read; [`Error::Input`] when no file can be read; [`Error::File`] when the folder cannot be
+    /// written; [`Error::Core`] when the voxel size does not suit the cloud.
     pub fn prepare(
         mut detector: TileDetector,
         files: &[PathBuf],
@@ -48,7 +45,7 @@ impl TiledRun {
         side: f64,
         folder: &Path,
     ) -> Result<Self> {
-        if let Some(copc) = open_all(files, read) {
+        if let Some(copc) = open_all(files.iter().map(PathBuf::as_path), read) {
             return Self::prepare_copc(detector, copc, side, folder);
         }
         choose_voxel_size(&mut detector, &mut |found| {
@@ -58,41 +55,50 @@ impl TiledRun {
             failed.into_iter().next().filter(|_| read.is_empty()).map_or(Ok(()), |error| Ok(error.map(drop)?))
         })?;
         let columns = columns_of(&detector, side)?;
-        let (_one_at_a_time, folder) = (RunFolder::begin(), RunFolder::claim(folder)?);
-        let versions = versions(files)?;
+        let versions = || -> Result<Vec<Version>> {
+            files.iter().map(|path| version(&LocalFile::new(path).map_err(Error::file(path))?)).collect()
+        };
+        let before = versions()?;
         let source = Source::new(files, read, columns, detector.settings())?;
-        let id = source.id()?;
-        if let Some(plan) = Plan::read(&folder, &source)
-            && plan.points_fit(&folder)
-        {
-            folder.mend(plan.names())?;
-            return Self { detector, plan, id, folder, copc: Vec::new() }.resolved();
+        let folder = RunFolder::new(folder, source.id()?)?;
+        if folder.has(PLAN) {
+            return Self { detector, plan: Plan::read(&folder)?, folder, copc: Vec::new() }.placed();
         }
-        // Faults of the inputs are said before anything is removed.
-        let Extent { bounds, crs, failures, .. } = extent(files, read)?;
-        folder.clear(|name| is_kept(&folder, name, &id))?;
-        let plan = Plan::new(source, versions, &bounds, crs, failures);
-        detector.set_lowest_corner(plan.lowest_corner);
-        let plan = sort_points(&detector, plan, files, read, &folder)?;
-        if self::versions(files)? != plan.versions {
+        let plan = Plan::new(source, before, extent(files, read)?);
+        Self { detector, plan, folder, copc: Vec::new() }.begun(|run| {
+            run.sort_points(files, read)?;
+            if versions()? == run.plan.versions {
+                return Ok(());
+            }
             let reason = "changed while they were read; begin again once they are complete".into();
-            return Err(Error::Refused { what: "inputs", reason });
-        }
-        Self { detector, plan, id, folder, copc: Vec::new() }.measured()
+            Err(Error::Refused { what: "inputs", reason })
+        })
     }
 
-    /// A run whose plan is complete but for the cloud's resolution: measures it, and writes the plan.
-    pub(crate) fn measured(mut self) -> Result<Self> {
-        if self.detector.needs_resolution() {
-            self.plan.resolution = Some(self.resolution()?);
+    /// Marks the folder, and writes the plan once `make` has made what it names. If that fails, all of it goes again.
+    pub(crate) fn begun(mut self, make: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
+        self.folder.mark()?;
+        self.detector.set_lowest_corner(self.plan.lowest_corner);
+        let prepare = || {
+            make(&mut self)?;
+            if self.detector.needs_resolution() {
+                let resolution = self.resolution()?;
+                self.detector.set_resolution(resolution)?;
+                self.plan.resolution = Some(resolution);
+            }
+            self.plan.write(&self.folder)
+        };
+        match prepare() {
+            Ok(()) => Ok(self),
+            Err(error) => {
+                let _left = self.remove();
+                Err(error)
+            }
         }
-        let run = self.resolved()?;
-        run.plan.write(&run.folder)?;
-        Ok(run)
     }
 
-    /// A run of a plan: the lattice begins where the cloud does, and lengths in `r` get their value.
-    pub(crate) fn resolved(mut self) -> Result<Self> {
+    /// The run with a detector whose lattice begins where the cloud does, and whose lengths in `r` have their value.
+    pub(crate) fn placed(mut self) -> Result<Self> {
         self.detector.set_lowest_corner(self.plan.lowest_corner);
         self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
         Ok(self)
@@ -102,25 +108,20 @@ impl TiledRun {
     /// files of the cloud are only needed when they are COPC files.
     ///
     /// # Errors
-    /// [`Error::File`] without such a run; [`Error::Damaged`] for another model, other options or another version.
+    /// [`Error::File`] without such a run; [`Error::Refused`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
-        let folder = RunFolder::join(folder)?;
-        let plan = Plan::from_settings(&folder, &detector.settings())?;
+        let folder = RunFolder::open(folder)?;
+        let plan = Plan::open(&folder, &detector.settings())?;
         if !plan.source.by_bounds {
-            return Self { detector, id: plan.source.id()?, plan, folder, copc: Vec::new() }.resolved();
+            return Self { detector, plan, folder, copc: Vec::new() }.placed();
         }
-        let open = |path: &Path| {
-            let file = LocalFile::new(path).map_err(Error::file(path))?;
-            let not_copc = || Error::Damaged { path: path.into(), reason: "is no longer a COPC file".into() };
-            Copc::open(Arc::new(file))?.ok_or_else(not_copc)
-        };
-        let files = plan.files().map(open).collect::<Result<_>>()?;
-        Self::open_copc(detector, files, folder.path())
+        let copc = open_all(plan.files(), &ReadOptions::default()).ok_or_else(|| Error::other_run(&folder.path))?;
+        Self::open_copc(detector, copc, &folder.path)
     }
 
     /// The folder with the points and the candidates.
     pub fn folder(&self) -> &Path {
-        self.folder.path()
+        &self.folder.path
     }
 
     /// Removes the files of the run, and the folder if a run made it. Returns the files that no run wrote, which stay.
@@ -128,7 +129,7 @@ impl TiledRun {
     /// # Errors
     /// [`Error::File`] when a file cannot be removed.
     pub fn remove(self) -> Result<Vec<PathBuf>> {
-        self.folder.remove_all()
+        self.folder.remove(self.plan.names())
     }
 
     /// The options.
@@ -174,21 +175,16 @@ impl TiledRun {
         })
     }
 
-    /// Whether the candidates of a tile are on disk, undamaged and of this run. All of the file is read.
+    /// Whether the candidates of a tile are on disk.
     pub fn is_detected(&self, tile: &Tile) -> bool {
-        self.summary(tile).is_some()
-    }
-
-    /// The summary of a tile that is detected.
-    pub(crate) fn summary(&self, tile: &Tile) -> Option<Summary> {
-        candidates::read_summary(&self.folder, &candidates::name(tile.place)).ok().filter(|found| found.run == self.id)
+        self.folder.has(&candidates::name(tile.place))
     }
 
     /// Finds the candidates of a tile and writes them to the folder, unless they are there.
     ///
     /// # Errors
-    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Core`] as of
-    /// [`snake_core::Model::detect_with`].
+    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed
+    /// it; [`Error::Core`] as of [`snake_core::Model::detect_with`].
     pub fn detect(&self, tile: &Tile, control: &Control) -> Result<()> {
         if self.is_detected(tile) {
             return Ok(());
@@ -204,8 +200,8 @@ impl TiledRun {
             }
             margin = margin.saturating_mul(2);
         };
-        self.plan.check_folder(&self.folder)?;
-        candidates::write(&self.folder, &self.id, tile.place, &candidates)
+        self.folder.check()?;
+        candidates::write(&self.folder, tile.place, &candidates)
     }
 
     /// The points in columns, in the order of the cloud, and their indices.
@@ -220,58 +216,38 @@ impl TiledRun {
         if !self.copc.is_empty() {
             self.for_each_near(columns, &mut add)?;
         } else {
-            for (tile, digest) in self.plan.tiles_in(columns) {
-                for_each_point(&self.folder, tile.place, digest, &mut add)?;
+            for tile in self.plan.tiles_in(columns) {
+                for_each_point(&self.folder, tile, &mut add)?;
             }
         }
         inside.sort_unstable_by_key(|(index, _)| *index);
         Ok(inside.into_iter().map(|(index, point)| (point, index)).unzip())
     }
-}
 
-/// The versions of files on disk.
-fn versions(files: &[PathBuf]) -> Result<Vec<Version>> {
-    files.iter().map(|path| version(&LocalFile::new(path).map_err(Error::file(path))?)).collect()
-}
-
-/// Whether a file of a folder serves the run that begins there: candidates of the same run, and copies of inputs.
-pub(crate) fn is_kept(folder: &RunFolder, name: &str, id: &str) -> bool {
-    let is_of_run = || candidates::read_summary(folder, name).is_ok_and(|found| found.run == id);
-    name.starts_with("inputs/") || (name.starts_with("candidates/") && is_of_run())
-}
-
-/// The second pass over the files: writes the points of each tile.
-fn sort_points(
-    detector: &TileDetector,
-    mut plan: Plan,
-    files: &[PathBuf],
-    read: &ReadOptions,
-    folder: &RunFolder,
-) -> Result<Plan> {
-    let (columns, origin) = (plan.source.columns, plan.origin);
-    let mut writer = PointWriter::new(folder);
-    for file in files.iter().filter(|file| plan.failures.iter().all(|failure| failure.path != **file)) {
+    /// The second pass over the files: writes the points of each tile. The plan then has the tiles, also after an error.
+    fn sort_points(&mut self, files: &[PathBuf], read: &ReadOptions) -> Result<()> {
+        let Self { detector, plan, folder, .. } = self;
+        let (columns, origin) = (plan.source.columns, plan.origin);
+        let mut writer = PointWriter::new(folder);
         let mut outcome = Ok(());
-        snake_io::for_each_position(file, read, &mut |position| {
-            let index = plan.num_points;
-            plan.num_points += 1;
-            if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
-                let point = subtract_origin(position, origin);
-                outcome = detector
-                    .column(&point)
-                    .map_err(Error::from)
-                    .and_then(|column| writer.add(place(columns, column), point, index));
-            } else {
-                plan.num_skipped += 1;
-            }
-        })?;
-        outcome?;
+        for file in files.iter().filter(|file| plan.failures.iter().all(|failure| failure.path != **file)) {
+            let read_all = snake_io::for_each_position(file, read, &mut |position| {
+                let index = plan.num_points;
+                plan.num_points += 1;
+                if outcome.is_ok() && position.iter().all(|v| v.is_finite()) {
+                    let point = subtract_origin(position, origin);
+                    let column = detector.column(&point).map_err(Error::from);
+                    outcome = column.and_then(|column| writer.add(place(columns, column), point, index));
+                } else {
+                    plan.num_skipped += 1;
+                }
+            });
+            outcome = outcome.and(read_all.map(drop).map_err(Error::from));
+        }
+        outcome = outcome.and_then(|()| writer.finish());
+        plan.tiles = writer.tiles();
+        outcome
     }
-    for (place, num_points, digest) in writer.finish()? {
-        plan.tiles.push(Tile { place, num_points });
-        plan.digests.push(digest);
-    }
-    Ok(plan)
 }
 
 /// Columns with some more on all sides.
@@ -331,7 +307,7 @@ pub(crate) struct Extent {
     pub(crate) crs: Option<Crs>,
     /// The first file that has a coordinate reference system.
     first: Option<PathBuf>,
-    failures: Vec<Failure>,
+    pub(crate) failures: Vec<Failure>,
 }
 
 impl Extent {
@@ -390,10 +366,9 @@ fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
 }
 
 /// Opens the files if all of them are COPC files whose points are read as they are.
-fn open_all(files: &[PathBuf], read: &ReadOptions) -> Option<Vec<Copc>> {
+fn open_all<'a>(files: impl IntoIterator<Item = &'a Path>, read: &ReadOptions) -> Option<Vec<Copc>> {
     if read.columns.is_some() || read.sample.is_some() || read.keep_withheld {
         return None;
     }
-    let open = |path: &PathBuf| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?;
-    files.iter().map(open).collect()
+    files.into_iter().map(|path| Copc::open(Arc::new(LocalFile::new(path).ok()?)).ok()?).collect()
 }

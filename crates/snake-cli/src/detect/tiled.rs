@@ -12,7 +12,7 @@ use snake_tiles::{Error, Tile, TiledRun};
 use super::args::DetectArguments;
 use crate::inputs::{DASH, output_origin};
 use crate::output::InputFiles;
-use crate::terminal::{self, Bar, Report};
+use crate::terminal::{self, Report};
 use crate::{FAILURE, SUCCESS};
 
 /// Detects the keypoints of one large cloud. Files and tiles that cannot be read are reported, and the run continues.
@@ -34,16 +34,11 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     for failure in run.failures() {
         terminal::error(&anyhow!("{}", failure.reason));
     }
-    let mut failed = detect(&run, &folder)?;
+    let failed = detect(&run, &folder)?;
     let progress = Progress::default();
     let bar = terminal::stages(&progress)?;
     bar.set_message(output.display().to_string());
-    let detected = run.detected();
-    let finished = run.finish_detected(&detected, &Control::new().progress(&progress))?;
-    for tile in detected.missing.iter().filter(|tile| !failed.contains(&tile.place)) {
-        report(&bar, &run, tile, anyhow!("its candidates in {} were lost meanwhile", folder.display()));
-    }
-    failed.extend(detected.missing.iter().map(|tile| tile.place));
+    let finished = run.finish_detected(&run.detected()?, &Control::new().progress(&progress))?;
     bar.finish();
     let mut detection = Detection::default();
     detection.keypoints = finished.keypoints.iter().map(|keypoint| keypoint.keypoint).collect();
@@ -68,7 +63,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     ));
     report.line(format!("written to {}", output.display()));
     terminal::print_report(&report)?;
-    if !failed.is_empty() || !run.failures().is_empty() {
+    if failed > 0 || !run.failures().is_empty() {
         return Ok(FAILURE);
     }
     if arguments.tiles.tile_folder.is_none()
@@ -96,14 +91,14 @@ fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Resu
     InputFiles::new(inputs.iter().chain(&arguments.compute.model)).refuse_as_output(output)
 }
 
-/// Detects the tiles without a result. Returns the places of the tiles that failed.
-fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
+/// Detects the tiles without a result. Returns how many of them failed.
+fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
     let points = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_points).sum::<u64>();
     let all = points(&mut run.tiles().iter());
     let bar = terminal::progress(all as usize)?;
     let open: Vec<&Tile> = run.tiles().iter().filter(|tile| !run.is_detected(tile)).collect();
     bar.begin_at((all - points(&mut open.iter().copied())) as usize);
-    let mut failed = Vec::new();
+    let mut failed = 0;
     for (number, tile) in open.iter().enumerate() {
         bar.set_message(format!(
             "points, tile {} of {}",
@@ -112,26 +107,23 @@ fn detect(run: &TiledRun, folder: &Path) -> Result<Vec<[i32; 2]>> {
         ));
         match run.detect(tile, &Control::default()) {
             Ok(()) => (),
-            Err(error) if is_full(&error) => return Err(explained(error, folder)),
+            Err(error) if is_full(&error) || matches!(error, Error::Refused { .. }) => {
+                return Err(explained(error, folder));
+            }
             Err(error) => {
-                failed.push(tile.place);
-                report(&bar, run, tile, error.into());
+                failed += 1;
+                let [[west, south], [east, north]] = run.bounds(tile);
+                let place = format!("the tile from x {west:.2}, y {south:.2} to x {east:.2}, y {north:.2} is left out");
+                bar.suspend(|| terminal::error(&anyhow::Error::from(error).context(place)));
             }
         }
         bar.advance(tile.num_points);
     }
     bar.finish();
-    if failed.len() == run.tiles().len() {
-        bail!("all {} tiles failed", failed.len());
+    if failed == run.tiles().len() {
+        bail!("all {failed} tiles failed");
     }
     Ok(failed)
-}
-
-fn report(bar: &Bar, run: &TiledRun, tile: &Tile, error: anyhow::Error) {
-    let [[west, south], [east, north]] = run.bounds(tile);
-    let error =
-        error.context(format!("the tile from x {west:.2}, y {south:.2} to x {east:.2}, y {north:.2} is left out"));
-    bar.suspend(|| terminal::error(&error));
 }
 
 /// Whether the disk has no room for further tiles.
@@ -146,7 +138,7 @@ fn explained(error: Error, folder: &Path) -> anyhow::Error {
     let error = anyhow::Error::from(error);
     if is_full {
         error.context(format!(
-            "the disk is full; the tiles in {} stay, and once there is room the same command continues",
+            "the disk is full; the detected tiles in {} stay, and once there is room the same command continues",
             folder.display()
         ))
     } else {

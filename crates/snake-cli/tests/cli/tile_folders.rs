@@ -67,36 +67,19 @@ fn a_run_that_is_killed_at_any_moment_continues_with_nothing_lost() {
 }
 
 #[test]
-fn a_second_run_in_a_folder_is_told_who_holds_it() {
+fn another_run_in_a_folder_is_refused_and_the_same_one_beside_it_gives_the_same() {
     let (folder, scan) = scan();
-    let (output, tiles) = (folder.path().join("keypoints.csv"), folder.path().join("tiles"));
-    let path = |name: &str| folder.path().join(name).display().to_string();
-    fs::create_dir(&tiles).unwrap();
-    let given = tiles.display().to_string();
-    let whole = {
-        assert_eq!(run(&scan, &output, &[]).0, Some(0));
-        fs::read(&output).unwrap()
-    };
-    // The same folder under another name.
-    #[cfg(unix)]
-    std::os::unix::fs::symlink(&tiles, path("name")).unwrap();
-    let names = [given.clone(), path("tiles/../tiles"), if cfg!(unix) { path("name") } else { given.clone() }];
-    for name in names {
-        let mut first = detect(&scan, &output, &["--tile-folder", &given, "--set", "seed=3"]).spawn().unwrap();
-        let process = first.id().to_string();
-        let lock = tiles.join("snake-tiles.lock");
-        while !fs::read_to_string(&lock).is_ok_and(|text| text.lines().next() == Some(&process)) {
-            assert!(first.try_wait().unwrap().is_none());
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        let (code, error) = run(&scan, &folder.path().join("other.csv"), &["--tile-folder", &name]);
-        let (first_code, first_error) = outcome(first);
-        assert_eq!(first_code, Some(0), "{first_error}");
-        assert!(code == Some(2) && error.contains(&format!("in use by process {process} on ")), "{error}");
-        assert!(!folder.path().join("other.csv").exists());
-        assert_eq!(run(&scan, &output, &["--tile-folder", &given]).0, Some(0));
-        assert!(fs::read(&output).unwrap() == whole);
+    let path = |name: &str| folder.path().join(name);
+    let tiles = path("tiles").display().to_string();
+    let begin = |name: &str| detect(&scan, &path(name), &["--tile-folder", &tiles]).spawn().unwrap();
+    for child in [begin("a.csv"), begin("b.csv")] {
+        assert_eq!(outcome(child), (Some(0), String::new()));
     }
+    let keypoints = fs::read(path("a.csv")).unwrap();
+    assert!(keypoints.len() > 500 && keypoints == fs::read(path("b.csv")).unwrap());
+    let (code, error) = run(&scan, &path("c.csv"), &["--tile-folder", &tiles, "--set", "seed=3"]);
+    assert!(code == Some(2) && error.contains("remove it") && error.contains("--tile-folder"), "{error}");
+    assert!(!path("c.csv").exists());
 }
 
 #[test]

@@ -136,7 +136,7 @@ impl Copc {
             bounds(&start).ok_or("header: the bounds are not finite".into()).map_err(format_error(&*source))?;
         let nodes = nodes(&*source, &start[INFO][54..], length)?;
         let nodes = in_order(nodes, length, header.num_points as u64).map_err(format_error(&*source))?;
-        let crs = header.crs(&head);
+        let crs = header.crs(&head, &mut |range| read(&*source, range).ok());
         Ok(Some(Self { source, header: Arc::new(header), items, nodes, bounds, crs }))
     }
 
@@ -318,5 +318,56 @@ fn in_order(mut nodes: Vec<Node>, length: u64, num_points: u64) -> std::result::
         Ok(nodes)
     } else {
         Err(format!("the octree has {first} points and the header {num_points}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn damaged_copc_files_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let scan = folder.path().join("city.copc.laz");
+        let bytes = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/tiles/city.copc.laz")).unwrap();
+        let octree = u64::from_le_bytes(bytes[375 + 54 + 40..][..8].try_into().unwrap()) as usize;
+        let outcome = |at: usize, replacement: &[u8]| -> String {
+            let mut bytes = bytes.clone();
+            bytes[at..at + replacement.len()].copy_from_slice(replacement);
+            fs::write(&scan, bytes).unwrap();
+            let source = Arc::new(LocalFile::new(&scan).unwrap());
+            let outcome = Copc::open(source).and_then(|file| match file {
+                Some(file) => file.for_each_position_in([[-1e9; 2], [1e9; 2]], &mut |_, _| ()).map(|()| "read"),
+                None => Ok("not COPC"),
+            });
+            outcome.map_or_else(|error| error.to_string(), Into::into)
+        };
+        assert_eq!(outcome(0, b"LASF"), "read");
+        assert_eq!(outcome(377, b"none"), "not COPC");
+        let chunk = u64::from_le_bytes(bytes[octree + 16..][..8].try_into().unwrap()) as usize;
+        for (at, replacement, expected) in [
+            (375 + 54 + 40, &u64::MAX.to_le_bytes()[..], "the octree is damaged"),
+            (375 + 54 + 24, &f64::NAN.to_le_bytes(), "the octree is damaged"),
+            (octree, &77_i32.to_le_bytes(), "the octree is damaged"),
+            (octree + 28, &(-7_i32).to_le_bytes(), "the octree is damaged"),
+            (octree + 28, &7_i32.to_le_bytes(), "points and the header 12000"),
+            (octree + 24, &(1_i32 << 30).to_le_bytes(), "a chunk begins"),
+            (octree + 24, &40_i32.to_le_bytes(), "damaged or cut short"),
+            (chunk + 30, &[0; 4], "damaged or cut short"),
+            (chunk, &i32::MAX.to_le_bytes(), "outside of its node"),
+            (179, &691_010.0_f64.to_le_bytes(), "outside of its node"),
+            (179, &f64::INFINITY.to_le_bytes(), "not finite"),
+        ] {
+            let text = outcome(at, replacement);
+            assert!(text.contains(expected), "{expected}: {text}");
+        }
+
+        // The first page of the octree leads to itself.
+        let mut page = [0; 16];
+        page[..8].copy_from_slice(&(octree as u64).to_le_bytes());
+        page[8..12].copy_from_slice(&(32_i32).to_le_bytes());
+        page[12..].copy_from_slice(&(-1_i32).to_le_bytes());
+        assert!(outcome(octree + 16, &page).contains("the octree is damaged"));
     }
 }

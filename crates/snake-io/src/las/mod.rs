@@ -5,8 +5,10 @@
 
 pub(crate) mod copc;
 pub(crate) mod gps_time;
+mod records;
 
 use std::io::{BufRead, Cursor, ErrorKind, Read, Seek, SeekFrom};
+use std::ops::Range;
 
 use laz::laszip::CompressorType;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
@@ -55,7 +57,11 @@ pub(crate) fn for_each_position(
         let is_used = keep_withheld || !header.is_withheld(record);
         found(if is_used { header.position(record) } else { [f64::NAN; 3] });
     })?;
-    Ok(header.crs(&head))
+    Ok(header.crs(&head, &mut |range| {
+        let mut bytes = vec![0; (range.end - range.start) as usize];
+        source.seek(SeekFrom::Start(range.start)).and_then(|_| source.read_exact(&mut bytes)).ok()?;
+        Some(bytes)
+    }))
 }
 
 /// Intensities and colours of 16 bits of the points of a file that [`read`] reads.
@@ -74,7 +80,8 @@ pub(crate) fn intensities_and_colors(bytes: &[u8]) -> Result<(Vec<f32>, Vec<[f64
 /// The coordinate reference system of a file that [`read`] reads.
 pub(crate) fn crs(bytes: &[u8]) -> Option<Crs> {
     let header = Header::parse(bytes).ok()?;
-    header.crs(bytes.get(..header.data_offset)?)
+    let read = &mut |range: Range<u64>| bytes.get(range.start as usize..range.end as usize).map(<[u8]>::to_vec);
+    header.crs(bytes.get(..header.data_offset)?, read)
 }
 
 /// The first bytes of a file, at most `number`. The next byte that is read follows them.
@@ -99,6 +106,8 @@ pub(crate) struct Header {
     /// The offset of the variable length records, and their number.
     records_offset: usize,
     num_records: u32,
+    /// The same of the extended records after the points.
+    extended: (u64, u32),
     pub(crate) scale: [f64; 3],
     offset: [f64; 3],
 }
@@ -130,6 +139,11 @@ impl Header {
                 data_offset: u32::from_le_bytes(field(bytes, 96)?) as usize,
                 records_offset: u16::from_le_bytes(field(bytes, 94)?).into(),
                 num_records: u32::from_le_bytes(field(bytes, 100)?),
+                extended: if minor >= 4 {
+                    (u64::from_le_bytes(field(bytes, 235)?), u32::from_le_bytes(field(bytes, 243)?))
+                } else {
+                    (0, 0)
+                },
                 scale: triple(131)?,
                 offset: triple(155)?,
             })
@@ -258,35 +272,6 @@ impl Header {
             }
             (kind, _) => Err(format!("compression of kind {kind} cannot be read")),
         }
-    }
-
-    /// The variable length records between header and points: user, number and content.
-    pub(crate) fn records<'a>(&self, head: &'a [u8]) -> impl Iterator<Item = (&'a [u8], u16, &'a [u8])> {
-        let mut rest = head.get(self.records_offset..).unwrap_or_default();
-        (0..self.num_records).map_while(move |_| {
-            let (head, tail) = rest.split_at_checked(54)?;
-            let (record, tail) = tail.split_at_checked(u16::from_le_bytes(field(head, 20)?).into())?;
-            rest = tail;
-            Some((&head[2..18], u16::from_le_bytes(field(head, 18)?), record))
-        })
-    }
-
-    /// The variable length record of LASzip.
-    pub(crate) fn laszip_record<'a>(&self, head: &'a [u8]) -> Option<&'a [u8]> {
-        let is_laszip =
-            |user: &[u8], number| user.starts_with(LazVlr::USER_ID.as_bytes()) && number == LazVlr::RECORD_ID;
-        let mut records = self.records(head).filter(|(user, number, _)| is_laszip(user, *number));
-        records.next().map(|(.., record)| record).filter(|record| record.len() >= 2)
-    }
-
-    /// The coordinate reference system, as text or as the keys of GeoTIFF.
-    pub(crate) fn crs(&self, head: &[u8]) -> Option<Crs> {
-        let projection_record = |wanted: u16| {
-            let mut records = self.records(head).filter(|(user, ..)| user.starts_with(b"LASF_Projection"));
-            records.find(|(_, number, _)| *number == wanted).map(|(.., record)| record)
-        };
-        let text = projection_record(2112).map(|record| Crs::from_wkt(&String::from_utf8_lossy(record)));
-        text.or_else(|| projection_record(34735).and_then(Crs::from_geo_keys))
     }
 
     /// Decodes points one after another, with a new decoder every `chunk_size` points.
