@@ -146,7 +146,7 @@ pub fn align(
     let mut known = core::AlignPriors::default()
         .with_viewpoints(viewpoints.unwrap_or_else(|| vec![None; origins.len()]))
         .with_initial_poses(initial_poses);
-    known.place(&origins);
+    known.place(&mut options, &origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
     let near = threads::run_watched(py, watch, |control| {
         core::align_with(&points, &known, model.as_ref(), &options, &align_options, control)
