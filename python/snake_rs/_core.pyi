@@ -365,6 +365,7 @@ class Keypoint:
         occupancy: float,
         nearest_index: int,
         confidence: float | None,
+        covariance: NDArray[np.float32],
     ) -> Self: ...
     @property
     def position(self) -> NDArray[Any]: ...
@@ -376,6 +377,8 @@ class Keypoint:
     def nearest_index(self) -> int: ...
     @property
     def confidence(self) -> float | None: ...
+    @property
+    def covariance(self) -> NDArray[np.float32]: ...
 
 @final
 class Keypoints:
@@ -386,6 +389,7 @@ class Keypoints:
         occupancy: NDArray[np.float32],
         nearest_index: NDArray[np.int64],
         confidence: NDArray[np.float32],
+        covariance: NDArray[np.float32],
         num_skipped: int,
         counts: dict[str, int],
         timing_seconds: dict[str, float],
@@ -408,6 +412,8 @@ class Keypoints:
     def nearest_index(self) -> NDArray[np.int64]: ...
     @property
     def confidence(self) -> NDArray[np.float32]: ...
+    @property
+    def covariance(self) -> NDArray[np.float32]: ...
     @property
     def num_skipped(self) -> int: ...
     @property

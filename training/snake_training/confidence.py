@@ -1,9 +1,11 @@
-"""Fits the map from a keypoint's score to the probability that another view finds it again, and writes it into a weight file:
+"""Fits the map from a keypoint to the probability that another view finds it again, and writes it into a weight file:
 
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
-Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
+Of objects it is a map of the score. Of scenes, whose points determine where a keypoint lies, it is a logistic function of the score,
+of the share of the least determined direction and of the largest standard deviation, fitted to the pairs as they are and to pairs that
+are thinned and have noise. Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
 `--test` are only for that. Detection is that of snake-rs with the options that the file recommends. A keypoint is found again if one
 of the other view lies within 4 % of the radius of an object, or two voxels of a scene. In a scene only keypoints count whose place
 the other view saw: one of its points lies within a voxel. The tensors and their digest stay.
@@ -18,16 +20,34 @@ from safetensors.numpy import load_file, save, save_file
 from scipy.spatial import cKDTree
 
 from .arguments import option, parser_of
+from .augment import choose
 from .data import open_shapes
 from .evaluate import view_pairs
 from .export import replacing
 
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
+WEIGHTS = "score", "corner", "deviation"
+LIMITS = (0.01, 1.0), (0.005, 0.15), (0.02, 4.0)  # of the features
+DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
+MIN_POINTS = 2000  # of a thinned cloud
+RIDGE = 1e-6
 
 
 def repeated(points, others, reach):
     """Whether each of the keypoints (K, 3) has one of the others (L, 3) within `reach`: (K,)."""
     return cKDTree(others).query(points)[0] <= reach if len(others) else np.zeros(len(points), bool)
+
+
+def log_features(keypoints):
+    """The binary logarithms (K, 3) of score, least share of the information and largest deviation in voxels, as snake-rs limits them."""
+    covariance = np.asarray(keypoints.covariance, float)
+    is_known = np.isfinite(covariance).all(axis=(1, 2))
+    variances = np.maximum(np.linalg.eigvalsh(covariance[is_known]), 1e-30)
+    corner, deviation = np.zeros(len(covariance)), np.full(len(covariance), np.inf)
+    corner[is_known] = 1 / variances[:, 2] / (1 / variances).sum(axis=1)
+    deviation[is_known] = np.sqrt(variances[:, 2])
+    columns = np.column_stack([keypoints.saliency, corner, deviation / keypoints.voxel_size])
+    return np.log2(np.clip(columns, *np.transpose(LIMITS)))
 
 
 def of_objects(model, shapes, number, points, rotations):
@@ -41,30 +61,46 @@ def of_objects(model, shapes, number, points, rotations):
     return rows
 
 
-def of_pairs(model, folder, number):
-    """The same list for pairs of scenes, from a folder with `pairs.json`."""
-    listed, clouds, rows = json.loads((folder / "pairs.json").read_text()), {}, []
-
-    def cloud(name):
-        if name not in clouds:
-            points = np.load(folder / f"{name}.npy")[:, :3].astype(np.float32)
-            field = model.encode(points)
-            clouds[name] = field.detect(), cKDTree(points), field.normalization[1]
-        return clouds[name]
-
+def of_pairs(model, folder, number, degraded=DEGRADED):
+    """A list of (features (K, 3), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
+    degraded."""
+    listed, rows = json.loads((folder / "pairs.json").read_text()), []
     for row in np.linspace(0, len(listed) - 1, min(number, len(listed))).round().astype(int):
         pair = listed[row]
-        matrix, both = np.array(pair.get("T_icp") or pair["T"]), [cloud(pair[end]) for end in ("source", "target")]
-        scores, hits = [], []
-        for (view, _, voxel), (other, tree, _), t in zip(
-            both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True
-        ):
-            moved = view.points @ t[:3, :3].T + t[:3, 3]
-            is_seen = tree.query(moved)[0] <= SEEN * voxel
-            scores.append(view.saliency[is_seen])
-            hits.append(repeated(moved[is_seen], other.points, SCENE_REACH * voxel))
-        rows.append((np.concatenate(scores), np.concatenate(hits)))
+        matrix, features, hits = np.array(pair.get("T_icp") or pair["T"]), [], []
+        for share, noise in degraded:
+            rng = np.random.default_rng([row, share])
+            both = []
+            for end in ("source", "target"):
+                points = np.load(folder / f"{pair[end]}.npy")[:, :3].astype(np.float32)
+                points = choose(rng, points, max(len(points) // share, min(len(points), MIN_POINTS)))
+                points += rng.normal(0, noise, points.shape).astype(np.float32)
+                both.append((model.encode(points).detect(), cKDTree(points)))
+            for (view, _), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
+                moved = view.points @ t[:3, :3].T + t[:3, 3]
+                is_seen = tree.query(moved)[0] <= SEEN * other.voxel_size
+                features.append(log_features(view)[is_seen])
+                hits.append(repeated(moved[is_seen], other.points, SCENE_REACH * view.voxel_size))
+        rows.append((np.concatenate(features), np.concatenate(hits)))
     return rows
+
+
+def logistic(features, hits, weights):
+    """The bias and the weights of a logistic function of features (K, F), by Newton's method."""
+    columns, found = np.column_stack([np.ones(len(features)), features]), np.zeros(features.shape[1] + 1)
+    for _ in range(50):
+        probability = 1 / (1 + np.exp(-columns @ found))
+        slope = columns.T @ (weights * (hits - probability)) - RIDGE * found
+        curvature = (columns * (weights * probability * (1 - probability))[:, None]).T @ columns
+        found += np.linalg.solve(curvature + RIDGE * np.eye(len(found)), slope)
+    return {name: round(float(value), 4) for name, value in zip(("bias", *WEIGHTS), found, strict=True)}
+
+
+def confidence(fitted, values):
+    """The probabilities (K,) of scores (K,) by knots, or of features (K, 3) by a logistic function."""
+    if isinstance(fitted, dict):
+        return 1 / (1 + np.exp(-fitted["bias"] - values @ [fitted[name] for name in WEIGHTS]))
+    return np.interp(values, *np.transpose(fitted))
 
 
 def isotonic(values, weights):
@@ -94,13 +130,11 @@ def fit(scores, hits, weights, number=12):
     return [knot for knot, last in zip(knots, [None, *knots]) if last is None or knot[0] > last[0]]
 
 
-def calibration_error(knots, scores, hits, bins=10):
+def calibration_error(fitted, values, hits, bins=10):
     """The expected calibration error: the mean distance of mean confidence and share found again, in bins of equal number."""
-    confidence = np.interp(scores, *np.transpose(knots))
-    parts = np.array_split(scores.argsort(), bins)
-    return sum(len(part) * abs(confidence[part].mean() - hits[part].mean()) for part in parts if len(part)) / len(
-        scores
-    )
+    probability = confidence(fitted, values)
+    parts = np.array_split(probability.argsort(), bins)
+    return sum(len(part) * abs(probability[part].mean() - hits[part].mean()) for part in parts if len(part)) / len(hits)
 
 
 def joined(rows):
@@ -108,13 +142,13 @@ def joined(rows):
     return tuple(np.concatenate(column) for column in zip(*rows, strict=True))
 
 
-def write_map(path, knots):
+def write_map(path, fitted):
     """Writes the map into a weight file's metadata; nothing else changes."""
     with safe_open(path, "numpy") as file:
         metadata = file.metadata()
     tensors = load_file(path)
     with replacing(path) as temporary:
-        save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(knots)})
+        save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(fitted)})
 
 
 def unfiltered(path):
@@ -131,35 +165,41 @@ def unfiltered(path):
 
 
 def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, rotations=(1,), write=True):
-    """Fits the map of a weight file and writes it there; returns the knots, and of each set of clouds the number of keypoints, the
-    share that is found again, and the calibration error. Without keypoints there is no map, and no knots.
+    """Fits the map of a weight file and writes it there; returns the knots of objects or the weights of scenes, and of each set of
+    clouds the number of keypoints, the share that is found again, and the calibration error. Without keypoints there is no map.
 
     objects: a corpus folder or a folder of clouds, each measured with all `rotations`. pairs, test: folders of scenes.
     """
     model = unfiltered(path)
+    if objects and pairs:
+        raise ValueError("objects and pairs have maps of different kinds: fit one of them")
     sets = {str(folder): of_pairs(model, Path(folder), number) for folder in pairs}
     if objects:
         shapes = open_shapes(objects)
         for copies in rotations:
             sets[f"{objects}, {copies} rotations"] = of_objects(model, shapes, number, num_points, copies)
-    tests = {str(folder): of_pairs(model, Path(folder), number) for folder in test}
+    tests = {
+        f"{folder}, 1 in {share}, noise {noise}": of_pairs(model, Path(folder), number, [(share, noise)])
+        for folder in test
+        for share, noise in DEGRADED[:3]
+    }
     for name, rows in sets.items():
         if len(rows) < 2:
             raise ValueError(f"{name}: two objects or pairs are needed: half of them are left for measuring")
     fitted = [joined(rows[::2]) for rows in sets.values()]
     scores, hits = joined(fitted)
     if not len(scores):
-        return {"knots": [], "sets": {}}
+        return {"map": [], "sets": {}}
     weights = np.concatenate([np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted])  # sets count alike
-    knots = fit(scores, hits, weights)
-    report = {"knots": knots, "sets": {}}
+    fitted_map = logistic(scores, hits, weights) if pairs else fit(scores, hits, weights)
+    report = {"map": fitted_map, "sets": {}}
     for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
         scores, hits = joined(rows)
-        error = calibration_error(knots, scores, hits)
+        error = calibration_error(fitted_map, scores, hits)
         figures = {"keypoints": len(scores), "found_again": float(hits.mean()), "calibration_error": float(error)}
         report["sets"][name] = figures
     if write:
-        write_map(path, knots)
+        write_map(path, fitted_map)
     return report
 
 
@@ -183,10 +223,10 @@ def main(argv=None):
         report = fit_map(given.pop("weights"), write=not given.pop("dry_run"), **given)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    if not report["knots"]:
+    if not report["map"]:
         print("no keypoints were found: the file gets no map")
         return
-    print("knots", json.dumps(report["knots"]))
+    print("map", json.dumps(report["map"]))
     for name, found in report["sets"].items():
         print(
             f"{name}: {found['keypoints']} keypoints, {found['found_again']:.3f} found again, "

@@ -81,9 +81,9 @@ pub use options::{
 #[cfg(feature = "arrow")]
 pub use snake_geometry::ArrowPoints;
 pub use snake_geometry::{
-    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
-    OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
-    SeparateAxes, add_origin, subtract_origin,
+    Bounds, Cloud, Covariance, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup,
+    OptionInfo, OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource,
+    RigidTransform, SeparateAxes, add_origin, subtract_origin,
 };
 #[doc(hidden)]
 pub use snake_geometry::{excerpt, is_harmful, printable, setters, shortened, shortened_value};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use snake_geometry::{Cloud, Keypoint, Point};
+use snake_geometry::{Cloud, Covariance, Keypoint, Point};
 
 use crate::arrays::npy;
 use crate::formats::{KeypointFormat, unknown_extension};
@@ -11,9 +11,9 @@ use crate::formats::{pcd, ply};
 use crate::table::{Table, find};
 use crate::{Error, Result, text};
 
-/// The columns of a file of keypoints; others, such as colours, are ignored. Files of 2025 lack the last one, whose value
-/// is not a number where it is not known.
-const COLUMNS: [&str; 7] = ["x", "y", "z", "saliency", "occupancy", "nearest_index", "confidence"];
+/// The columns of a file of keypoints; others, such as colours, are ignored. Old files lack the last ones. A confidence that is
+/// not known is not a number. The covariance does not follow from the largest deviation, so that column is not used.
+const COLUMNS: [&str; 8] = ["x", "y", "z", "saliency", "occupancy", "nearest_index", "confidence", "deviation"];
 const EXTENSIONS: &[&str] = &["ply", "pcd", "npy", "csv", "json"];
 
 type Row = [f64; 7];
@@ -22,10 +22,10 @@ type Row = [f64; 7];
 /// the file's order, relative to an origin, and that origin, which is zero near zero.
 ///
 /// ```
-/// use snake_geometry::Keypoint;
+/// use snake_geometry::{Covariance, Keypoint};
 /// # let folder = tempfile::tempdir()?;
 /// # let path = folder.path().join("keypoints.csv");
-/// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7, confidence: Some(0.5) };
+/// let keypoint = Keypoint { position: [1.0, 0.5, 2.0], saliency: 0.9, occupancy: 0.8, nearest_index: 7, confidence: Some(0.5), covariance: Covariance::UNKNOWN };
 /// snake_io::write_keypoints(&path, &[keypoint], &Default::default())?;
 /// assert_eq!(snake_io::read_keypoints(&path)?, (vec![keypoint], [0.0; 3]));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -37,6 +37,12 @@ pub fn read_keypoints(path: &Path) -> Result<(Vec<Keypoint>, [f64; 3])> {
     let format = KeypointFormat::from_path(path)?;
     let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.into(), source })?;
     let format_error = |reason| Error::Format { path: path.into(), reason };
+    if format == KeypointFormat::Json {
+        let (rows, covariances): (Vec<Row>, Vec<Covariance>) = json(&bytes).map_err(format_error)?.into_iter().unzip();
+        let (mut keypoints, origin) = keypoints(&rows, [0.0; 3]);
+        keypoints.iter_mut().zip(covariances).for_each(|(keypoint, covariance)| keypoint.covariance = covariance);
+        return Ok((keypoints, origin));
+    }
     let (rows, origin) = match format {
         KeypointFormat::Ply => (ply::table(&bytes).and_then(rows), [0.0; 3]),
         KeypointFormat::Pcd => {
@@ -45,7 +51,6 @@ pub fn read_keypoints(path: &Path) -> Result<(Vec<Keypoint>, [f64; 3])> {
         }
         KeypointFormat::Npy => (npy_table(&bytes).and_then(rows), [0.0; 3]),
         KeypointFormat::Csv => (text::table(&bytes).and_then(rows), [0.0; 3]),
-        KeypointFormat::Json => (json(&bytes), [0.0; 3]),
         _ => return Err(unknown_extension(path, "read as keypoints", EXTENSIONS)),
     };
     Ok(keypoints(&rows.map_err(format_error)?, origin))
@@ -60,22 +65,22 @@ fn keypoints(rows: &[Row], origin: [f64; 3]) -> (Vec<Keypoint>, [f64; 3]) {
         occupancy: occupancy as f32,
         nearest_index: index as usize,
         confidence: (!confidence.is_nan()).then_some(confidence as f32),
+        covariance: Covariance::UNKNOWN,
     };
     (rows.iter().zip(cloud.points).map(keypoint).collect(), cloud.origin)
 }
 
-/// The columns of all files.
-fn first_columns() -> [&'static str; 6] {
-    let [x, y, z, saliency, occupancy, index, _] = COLUMNS;
-    [x, y, z, saliency, occupancy, index]
+/// The first columns of [`COLUMNS`].
+fn first_columns<const NUMBER: usize>() -> [&'static str; NUMBER] {
+    std::array::from_fn(|column| COLUMNS[column])
 }
 
 /// The rows of a table with these columns, of which the confidence can be missing.
 fn rows(table: Table) -> std::result::Result<Vec<Row>, String> {
-    if let Ok(columns) = find(&table.names, COLUMNS) {
+    if let Ok(columns) = find(&table.names, first_columns()) {
         return table.read(columns);
     }
-    let columns = find(&table.names, first_columns()).map_err(|(missing, _)| {
+    let columns = find(&table.names, first_columns::<6>()).map_err(|(missing, _)| {
         format!("no column `{missing}`, so these are not keypoints; the columns are {}", table.names.join(", "))
     })?;
     let with_confidence =
@@ -83,13 +88,15 @@ fn rows(table: Table) -> std::result::Result<Vec<Row>, String> {
     Ok(table.read(columns)?.into_iter().map(with_confidence).collect())
 }
 
-/// An array has no names: all seven columns, or the first six.
+/// An array has no names: all columns, or the first seven or six.
 fn npy_table(bytes: &[u8]) -> std::result::Result<Table<'_>, String> {
-    npy::table(bytes, COLUMNS).or_else(|_| npy::table(bytes, first_columns()))
+    npy::table(bytes, COLUMNS)
+        .or_else(|_| npy::table(bytes, first_columns::<7>()))
+        .or_else(|_| npy::table(bytes, first_columns::<6>()))
 }
 
-/// The rows of `{"keypoints": [..]}`; null is not a number.
-fn json(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
+/// The rows and covariances of `{"keypoints": [..]}`; null is not a number.
+fn json(bytes: &[u8]) -> std::result::Result<Vec<(Row, Covariance)>, String> {
     #[derive(Deserialize)]
     struct File {
         keypoints: Vec<Entry>,
@@ -103,12 +110,14 @@ fn json(bytes: &[u8]) -> std::result::Result<Vec<Row>, String> {
         occupancy: Option<f64>,
         nearest_index: u64,
         confidence: Option<f64>,
+        covariance: Option<Covariance>,
     }
     let File { keypoints } = serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
-    let row = |Entry { x, y, z, saliency, occupancy, nearest_index, confidence }: Entry| {
+    let row = |Entry { x, y, z, saliency, occupancy, nearest_index, confidence, covariance }: Entry| {
         let [x, y, z, saliency, occupancy, confidence] =
             [x, y, z, saliency, occupancy, confidence].map(|value| value.unwrap_or(f64::NAN));
-        [x, y, z, saliency, occupancy, nearest_index as f64, confidence]
+        let row = [x, y, z, saliency, occupancy, nearest_index as f64, confidence];
+        (row, covariance.unwrap_or(Covariance::UNKNOWN))
     };
     Ok(keypoints.into_iter().map(row).collect())
 }

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use snake_core::{Builtin, Keypoint, Model, Point, RigidTransform, Tracker, TrackerOptions};
+use snake_core::{Builtin, Covariance, Keypoint, Model, Point, RigidTransform, Tracker, TrackerOptions};
 use snake_detectors::{IssOptions, iss};
 
 /// Maximum distance between a keypoint and its track, in metres; a keypoint is at the same place
@@ -85,6 +85,7 @@ fn iss_tracks(drive: &Drive, count: usize) -> Result<Vec<Vec<Tracked>>> {
             occupancy: 1.0,
             nearest_index,
             confidence: None,
+            covariance: Covariance::UNKNOWN,
         };
         let keypoints: Vec<Keypoint> = best.iter().take(count).map(|response| keypoint(response.index)).collect();
         let alike = vec![1.0; keypoints.len()];

@@ -47,7 +47,7 @@ impl TiledRun {
         }
         let Extent { bounds, crs, .. } = extent.checked()?;
         let mut plan = Plan::new(source, versions, &bounds, crs, Vec::new());
-        detector.set_lowest_corner(plan.lowest_corner);
+        detector.set_bounds(plan.corners)?;
         plan.num_points = files.iter().map(Copc::num_points).sum();
         plan.tiles = tiles(&detector, &plan, &files, &bounds)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;

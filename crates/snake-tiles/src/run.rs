@@ -72,7 +72,7 @@ impl TiledRun {
         let Extent { bounds, crs, failures, .. } = extent(files, read)?;
         folder.clear(|name| is_kept(&folder, name, &id))?;
         let plan = Plan::new(source, versions, &bounds, crs, failures);
-        detector.set_lowest_corner(plan.lowest_corner);
+        detector.set_bounds(plan.corners)?;
         let plan = sort_points(&detector, plan, files, read, &folder)?;
         if self::versions(files)? != plan.versions {
             let reason = "changed while they were read; begin again once they are complete".into();
@@ -93,7 +93,7 @@ impl TiledRun {
 
     /// A run of a plan: the lattice begins where the cloud does, and lengths in `r` get their value.
     pub(crate) fn resolved(mut self) -> Result<Self> {
-        self.detector.set_lowest_corner(self.plan.lowest_corner);
+        self.detector.set_bounds(self.plan.corners)?;
         self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
         Ok(self)
     }

@@ -20,9 +20,10 @@ const CLUSTERED: f64 = 2.0;
 /// is not finite. The sentence is always the same.
 ///
 /// ```
-/// use snake_core::{Keypoint, cluster_hint};
+/// use snake_core::{Covariance, Keypoint, cluster_hint};
 /// let points: Vec<[f32; 3]> = (0..900).map(|i| [(i % 30) as f32, (i / 30) as f32, 0.0]).collect();
-/// let keypoint = |position| Keypoint { position, saliency: 0.9, occupancy: 0.9, nearest_index: 0, confidence: None };
+/// let (confidence, covariance) = (None, Covariance::UNKNOWN);
+/// let keypoint = |position| Keypoint { position, saliency: 0.9, occupancy: 0.9, nearest_index: 0, confidence, covariance };
 /// let clump: Vec<Keypoint> = (0..16).map(|i| keypoint([(i % 4) as f32, (i / 4) as f32, 0.0])).collect();
 /// assert!(cluster_hint(&points, &clump).is_some());
 /// ```
@@ -51,11 +52,13 @@ pub fn cluster_hint(points: &[Point], keypoints: &[Keypoint]) -> Option<String> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use snake_geometry::Covariance;
 
     fn keypoints(positions: impl Iterator<Item = Point>) -> Vec<Keypoint> {
-        positions
-            .map(|position| Keypoint { position, saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence: None })
-            .collect()
+        let (confidence, covariance) = (None, Covariance::UNKNOWN);
+        let keypoint =
+            |position| Keypoint { position, saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence, covariance };
+        positions.map(keypoint).collect()
     }
 
     fn square() -> Vec<Point> {

@@ -165,7 +165,8 @@ mod tests {
     use super::*;
 
     fn keypoint(x: f32) -> Keypoint {
-        Keypoint { position: [x, 0.0, 0.0], saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence: None }
+        let (confidence, covariance) = (None, snake_geometry::Covariance::UNKNOWN);
+        Keypoint { position: [x, 0.0, 0.0], saliency: 1.0, occupancy: 1.0, nearest_index: 0, confidence, covariance }
     }
 
     #[test]

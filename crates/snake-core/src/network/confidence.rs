@@ -1,47 +1,95 @@
-//! The map from a keypoint's score to the probability that another view finds it again, from the weight file's metadata.
+//! The probability that another view finds a keypoint again, by a map of the weight file's metadata.
+
+use serde::Deserialize;
 
 use crate::Result;
+use crate::detect::localize::Place;
 use crate::network::weights::{self, Weights};
 
 /// Knots, at most.
 const MAX_KNOTS: usize = 64;
 
-/// A piecewise linear, non-decreasing map from scores to probabilities, fitted by `snake_training.confidence`.
+/// From a keypoint to a probability, fitted by `snake_training.confidence`.
 #[derive(Debug, Clone)]
-pub(crate) struct ConfidenceMap {
-    /// Score and probability, by rising score.
-    knots: Vec<[f32; 2]>,
+pub(crate) enum ConfidenceMap {
+    /// A piecewise linear, non-decreasing map of scores: score and probability, by rising score.
+    Knots(Vec<[f32; 2]>),
+    /// The logistic function of a weighted sum of what is known of a keypoint.
+    Logistic(Logistic),
+}
+
+/// Weights of the binary logarithms of the score, of [`Place::corner`] and of the largest standard deviation in voxels. Values
+/// beyond the ends of [`CORNERS`] and [`DEVIATIONS`] count as the ends.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Logistic {
+    bias: f32,
+    score: f32,
+    corner: f32,
+    deviation: f32,
+}
+
+/// From an open direction to a corner.
+const CORNERS: [f32; 2] = [0.005, 0.15];
+/// In voxels.
+const DEVIATIONS: [f32; 2] = [0.02, 4.0];
+const MIN_SCORE: f32 = 0.01;
+
+impl Logistic {
+    fn at(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {
+        let log = |value: f32, [low, high]: [f32; 2]| value.clamp(low, high).log2();
+        let deviation = log(place.covariance.deviation() / voxel_size, DEVIATIONS);
+        let (score, corner) = (log(score, [MIN_SCORE, 1.0]), log(place.corner, CORNERS));
+        let sum = self.bias + self.score * score + self.corner * corner + self.deviation * deviation;
+        1.0 / (1.0 + (-sum).exp())
+    }
 }
 
 impl ConfidenceMap {
-    /// The metadata key `confidence`, `[[score, probability], ..]` as JSON; `None` where the file has none.
+    /// The metadata key `confidence` as JSON, `[[score, probability], ..]` or an object of the weights; `None` where the file has
+    /// none.
     pub(crate) fn from_weights(file: &Weights) -> Result<Option<Self>> {
         let Some(json) = file.metadata.get("confidence") else { return Ok(None) };
         let refused = |found: String| {
-            let expected = "2 to 64 pairs [score, probability], scores rising, probabilities in 0 to 1 and not falling";
+            let expected = "2 to 64 pairs [score, probability], scores rising, probabilities in 0 to 1 and not falling, or an \
+                            object of finite numbers bias, score, corner and deviation";
             weights::error("confidence", expected, found)
         };
+        if json.trim_start().starts_with('{') {
+            let map: Logistic = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
+            let is_finite = [map.bias, map.score, map.corner, map.deviation].iter().all(|weight| weight.is_finite());
+            return if is_finite { Ok(Some(Self::Logistic(map))) } else { Err(refused(json.clone())) };
+        }
         let knots: Vec<[f32; 2]> = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
         let is_map = (2..=MAX_KNOTS).contains(&knots.len())
             && knots.iter().all(|[score, probability]| score.is_finite() && (0.0..=1.0).contains(probability))
             && knots.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1]);
-        if is_map { Ok(Some(Self { knots })) } else { Err(refused(json.clone())) }
+        if is_map { Ok(Some(Self::Knots(knots))) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability of a score: linear between knots, that of the first or the last knot beyond them.
-    pub(crate) fn at(&self, score: f32) -> f32 {
-        let next = self.knots.partition_point(|knot| knot[0] <= score);
-        match (next.checked_sub(1).map(|last| self.knots[last]), self.knots.get(next)) {
-            (Some([low, from]), Some([high, to])) => from + (to - from) * ((score - low) / (high - low)),
-            (Some([_, last]), None) => last,
-            (None, Some([_, first])) => *first,
-            (None, None) => 0.0,
+    /// The probability of a keypoint.
+    pub(crate) fn at(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {
+        match self {
+            Self::Knots(knots) => interpolated(knots, score),
+            Self::Logistic(map) => map.at(score, place, voxel_size),
         }
+    }
+}
+
+/// The probability of a score: linear between knots, that of the first or the last knot beyond them.
+fn interpolated(knots: &[[f32; 2]], score: f32) -> f32 {
+    let next = knots.partition_point(|knot| knot[0] <= score);
+    match (next.checked_sub(1).map(|last| knots[last]), knots.get(next)) {
+        (Some([low, from]), Some([high, to])) => from + (to - from) * ((score - low) / (high - low)),
+        (Some([_, last]), None) => last,
+        (None, Some([_, first])) => *first,
+        (None, None) => 0.0,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::Place;
     use crate::{Builtin, Error, Model};
     use safetensors::SafeTensors;
 
@@ -65,8 +113,9 @@ mod tests {
     fn the_map_is_linear_between_its_knots_and_constant_beyond() {
         let model = model(Some("[[0.25, 0.5], [0.5, 0.5], [0.75, 1.0]]")).unwrap();
         let map = model.network().confidence.as_ref().unwrap();
+        let place = Place::unknown([0.0; 3]);
         let scores = [-1.0, 0.0, 0.25, 0.4, 0.5, 0.625, 0.75, 0.9, f32::INFINITY];
-        assert_eq!(scores.map(|score| map.at(score)), [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]);
+        assert_eq!(scores.map(|score| map.at(score, &place, 1.0)), [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]);
     }
 
     #[test]

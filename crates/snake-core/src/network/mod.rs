@@ -16,6 +16,7 @@ pub use self::weights::read_weight_file;
 use std::collections::BTreeMap;
 
 use crate::Result;
+use crate::detect::localize::Place;
 use crate::network::confidence::ConfidenceMap;
 use crate::network::decoder::Decoder;
 use crate::network::encoder::Encoder;
@@ -60,8 +61,16 @@ impl Network {
         Ok(network)
     }
 
-    /// The probability that another view finds a keypoint of this score again.
-    pub(crate) fn confidence(&self, score: f32) -> Option<f32> {
-        self.confidence.as_ref().map(|map| map.at(score))
+    /// The probability that another view finds a keypoint again, by its score and its place in a volume of this voxel size.
+    pub(crate) fn confidence(&self, score: f32, place: &Place, voxel_size: f32) -> Option<f32> {
+        self.confidence.as_ref().map(|map| map.at(score, place, voxel_size))
+    }
+
+    /// What keypoints are ranked by: the confidence if the map knows more than the score, else the score.
+    pub(crate) fn rank(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {
+        match &self.confidence {
+            Some(map @ ConfidenceMap::Logistic(_)) => map.at(score, place, voxel_size),
+            _ => score,
+        }
     }
 }

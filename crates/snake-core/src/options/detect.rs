@@ -38,7 +38,7 @@ pub enum Preference {
     #[default]
     Salient,
     /// Those at corners, ends and tips. To the saliency is added the distance from the mean of the input points within three
-    /// voxels, as a share of this radius.
+    /// voxels, as a share of this radius, and how well the planes around it determine its place.
     Corners,
 }
 
@@ -91,8 +91,8 @@ options! {
         mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
             from 0 or more " (cloud units, or as in `3r` resolutions)";
         /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
-        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`). Of those that are closer the
-        /// best is kept.
+        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`; of a scene at most a 32nd of its
+        /// box's diagonal). Of those that are closer the best is kept.
         #[serde(deserialize_with = "none_if_zero")]
         nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
@@ -116,23 +116,28 @@ impl DetectOptions {
         [queries, self.refine_steps.saturating_add(1), rotations]
     }
 
-    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.
-    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32) -> Result<Radii> {
+    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size. `scene` is the diagonal of a
+    /// scene's box, if the cloud is one.
+    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32, scene: Option<f32>) -> Result<Radii> {
         let units = |name, length: Length| match length {
             Length::Units(radius) => Ok(radius as f32),
             Length::Voxels(number) => Ok(number as f32 * voxel_size),
             multiple => multiple.in_units(name, points).map(|radius| radius as f32),
         };
-        let width = if self.prefer == Preference::Corners { 0.5 } else { 1.0 };
-        Ok(Radii {
-            nms: self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?,
-            mode: self
-                .mode_radius
-                .map(|length| units("mode_radius", length))
-                .transpose()?
-                .map(|radius| radius * width)
-                .filter(|radius| *radius > 0.0),
-        })
+        let is_corners = self.prefer == Preference::Corners;
+        let width = if is_corners { 0.5 } else { 1.0 };
+        let mut nms = self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?;
+        if let (Some(diagonal), Some(Length::Voxels(_))) = (scene, self.nms_radius) {
+            nms = nms.min(diagonal / MAX_SCENE_SHARE);
+        }
+        let mode = self.mode_radius.map(|length| units("mode_radius", length)).transpose()?;
+        let mode = mode.map(|radius| radius * width).filter(|radius| *radius > 0.0);
+        let apart = match (scene, is_corners) {
+            (Some(_), _) => STARTS_APART[0] * voxel_size,
+            (None, true) => STARTS_APART[1] * voxel_size,
+            (None, false) => 0.0,
+        };
+        Ok(Radii { nms, mode, starts: mode.map_or(0.0, |radius| apart.max(radius / 2.0)) })
     }
 }
 
@@ -142,7 +147,16 @@ pub(crate) struct Radii {
     /// 0 for no suppression.
     pub(crate) nms: f32,
     pub(crate) mode: Option<f32>,
+    /// The least distance of the candidates that move to modes.
+    pub(crate) starts: f32,
 }
+
+/// Keypoints in voxels are no farther apart than this part of the diagonal of their scene: sparse points have large voxels, and the
+/// scene has the same corners.
+const MAX_SCENE_SHARE: f32 = 32.0;
+
+/// Candidates that are localized start this many voxels apart: of a scene, and of an object.
+const STARTS_APART: [f32; 2] = [2.0, 0.5];
 
 /// A number, or the largest for null.
 fn most_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<usize, D::Error> {

@@ -32,7 +32,7 @@ impl KeypointFormat {
             _ => (Some(source.origin), &[][..]),
         };
         let row = |keypoint: &Keypoint| {
-            let &Keypoint { position, saliency, occupancy, nearest_index, confidence } = keypoint;
+            let &Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance } = keypoint;
             let mut row = with_origin(position, origin).to_vec();
             row.extend(color_values(colors, color(saliency)));
             row.extend([
@@ -40,6 +40,7 @@ impl KeypointFormat {
                 occupancy.into(),
                 nearest_index as f64,
                 confidence.unwrap_or(f32::NAN).into(),
+                covariance.deviation().into(),
             ]);
             row
         };
@@ -104,11 +105,12 @@ impl CloudFormat {
 }
 
 /// The columns of a keypoint after its position and colour.
-const VALUES: [Column; 4] = [
+const VALUES: [Column; 5] = [
     ("saliency", Scalar::FLOAT),
     ("occupancy", Scalar::FLOAT),
     ("nearest_index", Scalar::INT),
     ("confidence", Scalar::FLOAT),
+    ("deviation", Scalar::FLOAT),
 ];
 const COLORS: [Column; 3] = [("red", Scalar::BYTE), ("green", Scalar::BYTE), ("blue", Scalar::BYTE)];
 /// A colour in the bits of a float.

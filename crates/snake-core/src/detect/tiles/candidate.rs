@@ -1,9 +1,10 @@
 //! The candidates of a tile.
 
 use super::Counts;
-use snake_geometry::Point;
+use crate::detect::localize::Place;
+use snake_geometry::{Covariance, Point};
 
-/// A voxel's query above the saliency threshold, after mode seeking, that suppression has not removed yet.
+/// A voxel's query above the saliency threshold, after mode seeking and localization, that suppression has not removed yet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// Position in cloud units, relative to the origin of the whole cloud.
@@ -12,10 +13,30 @@ pub struct Candidate {
     pub saliency: f32,
     /// Occupancy in [0, 1] at the position.
     pub occupancy: f32,
+    /// Covariance of the position.
+    pub covariance: Covariance,
+    /// How much of a corner the points show.
+    pub corner: f32,
+    /// What candidates are ranked by: the confidence, or the score if the model has no map that knows more.
+    pub rank: f32,
     /// Saliency in [0, 1] where it started; the score without mode seeking.
     pub start: f32,
     /// The voxel where it started, along x, y and z.
     pub cell: [i32; 3],
+}
+
+impl Candidate {
+    /// The query of a voxel.
+    pub(super) fn new(place: Place, saliency: f32, cell: [i32; 3]) -> Self {
+        let Place { position, covariance, corner } = place;
+        Self { position, saliency, occupancy: 0.0, covariance, corner, rank: saliency, start: saliency, cell }
+    }
+
+    /// The localized position.
+    pub(super) fn place(&self) -> Place {
+        let Self { position, covariance, corner, .. } = *self;
+        Place { position, covariance, corner }
+    }
 }
 
 /// The candidates of a tile, by their cells' z, then y, then x.
@@ -27,9 +48,9 @@ pub struct TileCandidates {
     pub counts: Counts,
 }
 
-/// The rank of candidates, best first: by their scores, the saliency where they started, and their cells' z, then y, then x.
+/// The rank of candidates, best first: by their ranks, the saliency where they started, and their cells' z, then y, then x.
 pub fn by_rank(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
-    let by_score = b.saliency.total_cmp(&a.saliency).then(b.start.total_cmp(&a.start));
+    let by_score = b.rank.total_cmp(&a.rank).then(b.start.total_cmp(&a.start));
     by_score.then(by_place(a).cmp(&by_place(b)))
 }
 

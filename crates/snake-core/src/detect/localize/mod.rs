@@ -1,0 +1,150 @@
+//! Where exactly: the point nearest to the tangent planes of the points around a keypoint (Förstner and Gülch 1987).
+//!
+//! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
+//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
+//! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
+//! 1985). Where the patches leave a direction open, the keypoint stays along it.
+//!
+//! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of the place. All of it depends on the
+//! points near a keypoint alone: tiles have the same bits.
+
+mod patches;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+use self::patches::Patches;
+pub(super) use self::patches::anchors;
+use crate::Result;
+use crate::field::Field;
+use snake_geometry::{Covariance, Point, Vector, vector};
+
+/// The radius in voxels: of a scene, whose voxels are about as wide as the distance of its points, and of an object.
+const RADIUS: [f32; 2] = [5.0, 2.2];
+/// Where fewer than this many patches are near, the radius grows, ...
+const FEW_PATCHES: f32 = 80.0;
+/// ... up to this many times.
+const MAX_GROWTH: f32 = 1.6;
+/// Patches lie this share of the radius apart, and have points within the second share.
+const PATCHES: [f32; 2] = [0.2, 0.5];
+/// Rounds of weights and solution.
+const ROUNDS: usize = 4;
+/// The weight that holds a keypoint, as a share of all weights.
+const HOLD: f64 = 0.003;
+/// The residual, as a share of the radius, at which a patch counts a quarter.
+const TOLERANCE: f64 = 0.3;
+/// The uncertainty of a normal, in radians, at which a patch counts half.
+const TILT: f64 = 0.1;
+/// A direction is open if less than this share of the weights is along it.
+const OPEN: f64 = 0.005;
+/// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
+const MIN_RESIDUAL: f64 = 1e-4;
+/// Neighbouring patches have points in common: so many patches tell as much as one.
+const PATCHES_OF_ONE: f64 = 16.0;
+
+/// A position by the points around it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    pub(crate) position: Point,
+    pub(crate) covariance: Covariance,
+    /// The share of the weights along the direction that is known least: a third at the corner of a cube, about 0 where a
+    /// direction is open.
+    pub(crate) corner: f32,
+}
+
+impl Place {
+    /// A position of which nothing is known.
+    pub(crate) fn unknown(position: Point) -> Self {
+        Self { position, covariance: Covariance::UNKNOWN, corner: 0.0 }
+    }
+}
+
+/// Where keypoints of a field lie exactly.
+///
+/// # Errors
+/// [`crate::Error::Input`] for more points than [`u32::MAX`].
+pub(crate) fn localize(field: &Field, keypoints: &[Point]) -> Result<Vec<Place>> {
+    let [scene, object] = RADIUS;
+    let radius = field.voxel_size() * if field.lattice().is_scene() { scene } else { object };
+    by_planes(field.points(), keypoints, radius)
+}
+
+fn by_planes(points: &[Point], keypoints: &[Point], radius: f32) -> Result<Vec<Place>> {
+    let [apart, reach] = PATCHES.map(|share| share * radius);
+    let anchors = anchors(points, apart);
+    let patches = Patches::new(points, &anchors, reach, MAX_GROWTH * radius)?;
+    Ok(keypoints.par_iter().map(|keypoint| place(&patches, *keypoint, radius)).collect())
+}
+
+fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
+    let mut number = 0_u32;
+    patches.anchors.within(&keypoint, radius, |_| number += 1);
+    let radius = radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
+    let mut place = Place::unknown(keypoint);
+    for round in 0..ROUNDS {
+        let planes = Planes::near(patches, &place.position, radius, round > 0);
+        match planes.solved(vector(place.position)) {
+            Some(position) if (position - vector(keypoint)).norm() <= f64::from(radius) => {
+                place = planes.place(position, radius);
+            }
+            _ => return Place::unknown(keypoint),
+        }
+    }
+    place
+}
+
+/// Weighted sums over the patches near a position, relative to it.
+#[derive(Default)]
+struct Planes {
+    weight: f64,
+    squared_weight: f64,
+    squared_residual: f64,
+    normals: Matrix3<f64>,
+    target: Vector,
+}
+
+impl Planes {
+    fn near(patches: &Patches, at: &Point, radius: f32, is_robust: bool) -> Self {
+        let mut sums = Self::default();
+        let radius_squared = f64::from(radius).powi(2);
+        let tolerance_squared = TOLERANCE.powi(2) * radius_squared;
+        patches.anchors.within(at, radius, |anchor| {
+            let Some(patch) = patches.at(anchor) else { return };
+            let anchor = vector(patches.anchors.points()[anchor]) - vector(*at);
+            let mean = anchor + patch.mean;
+            let residual = patch.normal.dot(&mean);
+            let mut weight = (1.0 - anchor.norm_squared() / radius_squared).max(0.0);
+            weight /= 1.0 + (patch.tilt / TILT).powi(2);
+            if is_robust {
+                weight /= (1.0 + residual * residual / tolerance_squared).powi(2);
+            }
+            sums.weight += weight;
+            sums.squared_weight += weight * weight;
+            sums.squared_residual += weight * residual * residual;
+            sums.normals += patch.normal * patch.normal.transpose() * weight;
+            sums.target += patch.normal * (residual * weight);
+        });
+        sums
+    }
+
+    /// The position nearest to the planes; `None` without planes.
+    fn solved(&self, at: Vector) -> Option<Vector> {
+        let system = self.normals / self.weight + Matrix3::identity() * HOLD;
+        let inverse = system.try_inverse().filter(|_| self.weight > 0.0)?;
+        Some(at + inverse * (self.target / self.weight))
+    }
+
+    fn place(&self, position: Vector, radius: f32) -> Place {
+        let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
+        let variance = (self.squared_residual / self.weight).max((MIN_RESIDUAL * f64::from(radius)).powi(2));
+        let normals = self.normals / self.weight;
+        let least = normals.symmetric_eigenvalues().min();
+        Place {
+            position: position.map(|v| v as f32).into(),
+            covariance: Covariance::from_information(&(normals * (number / variance)), OPEN),
+            corner: least as f32,
+        }
+    }
+}
