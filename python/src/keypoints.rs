@@ -119,7 +119,7 @@ impl Keypoints {
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
-        notes.extend(py.detach(|| chosen.cluster_hint(&detection)));
+        notes.extend(py.detach(|| chosen.keypoint_hint(&detection)));
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
         let source = (Some(chosen.name.clone()), notes);
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)

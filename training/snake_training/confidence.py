@@ -3,9 +3,8 @@
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
-Of objects it is a map of the score. Of scenes, whose points determine where a keypoint lies, it is a logistic function of the score,
-of the share of the least determined direction and of the largest standard deviation, fitted to the pairs as they are and to pairs that
-are thinned and have noise. Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
+Of objects it is a map of the score. Of scenes, whose points determine where a keypoint lies, it is a logistic function of the score
+and of the largest standard deviation, fitted to the pairs as they are and to pairs that are thinned and have noise. Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
 `--test` are only for that. Detection is that of snake-rs with the options that the file recommends. A keypoint is found again if one
 of the other view lies within 4 % of the radius of an object, or two voxels of a scene. In a scene only keypoints count whose place
 the other view saw: one of its points lies within a voxel. The tensors and their digest stay.
@@ -26,8 +25,9 @@ from .evaluate import view_pairs
 from .export import replacing
 
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
-WEIGHTS = "score", "corner", "deviation"
-LIMITS = (0.01, 1.0), (0.005, 0.15), (0.02, 4.0)  # of the features
+SCENE_SHARE = 104  # the reach is at most this part of a scene's diagonal: sparse points have large voxels
+WEIGHTS = "score", "deviation"
+DEVIATIONS = 0.1, 1.0  # voxels
 DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
 MIN_POINTS = 2000  # of a thinned cloud
 RIDGE = 1e-6
@@ -38,16 +38,13 @@ def repeated(points, others, reach):
     return cKDTree(others).query(points)[0] <= reach if len(others) else np.zeros(len(points), bool)
 
 
-def log_features(keypoints):
-    """The binary logarithms (K, 3) of score, least share of the information and largest deviation in voxels, as snake-rs limits them."""
+def features_of(keypoints):
+    """The score, and the binary logarithm of the largest standard deviation in voxels, as snake-rs limits it: (K, 2)."""
     covariance = np.asarray(keypoints.covariance, float)
     is_known = np.isfinite(covariance).all(axis=(1, 2))
-    variances = np.maximum(np.linalg.eigvalsh(covariance[is_known]), 1e-30)
-    corner, deviation = np.zeros(len(covariance)), np.full(len(covariance), np.inf)
-    corner[is_known] = 1 / variances[:, 2] / (1 / variances).sum(axis=1)
-    deviation[is_known] = np.sqrt(variances[:, 2])
-    columns = np.column_stack([keypoints.saliency, corner, deviation / keypoints.voxel_size])
-    return np.log2(np.clip(columns, *np.transpose(LIMITS)))
+    deviation = np.full(len(covariance), np.inf)
+    deviation[is_known] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[is_known])[:, -1], 0))
+    return np.column_stack([keypoints.saliency, np.log2(np.clip(deviation / keypoints.voxel_size, *DEVIATIONS))])
 
 
 def of_objects(model, shapes, number, points, rotations):
@@ -62,7 +59,7 @@ def of_objects(model, shapes, number, points, rotations):
 
 
 def of_pairs(model, folder, number, degraded=DEGRADED):
-    """A list of (features (K, 3), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
+    """A list of (features (K, 2), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
     degraded."""
     listed, rows = json.loads((folder / "pairs.json").read_text()), []
     for row in np.linspace(0, len(listed) - 1, min(number, len(listed))).round().astype(int):
@@ -79,8 +76,10 @@ def of_pairs(model, folder, number, degraded=DEGRADED):
             for (view, _), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
                 moved = view.points @ t[:3, :3].T + t[:3, 3]
                 is_seen = tree.query(moved)[0] <= SEEN * other.voxel_size
-                features.append(log_features(view)[is_seen])
-                hits.append(repeated(moved[is_seen], other.points, SCENE_REACH * view.voxel_size))
+                diagonal = np.linalg.norm(np.ptp(tree.data, axis=0))
+                features.append(features_of(view)[is_seen])
+                reach = min(SCENE_REACH * view.voxel_size, diagonal / SCENE_SHARE)
+                hits.append(repeated(moved[is_seen], other.points, reach))
         rows.append((np.concatenate(features), np.concatenate(hits)))
     return rows
 
@@ -97,7 +96,7 @@ def logistic(features, hits, weights):
 
 
 def confidence(fitted, values):
-    """The probabilities (K,) of scores (K,) by knots, or of features (K, 3) by a logistic function."""
+    """The probabilities (K,) of scores (K,) by knots, or of features (K, 2) by a logistic function."""
     if isinstance(fitted, dict):
         return 1 / (1 + np.exp(-fitted["bias"] - values @ [fitted[name] for name in WEIGHTS]))
     return np.interp(values, *np.transpose(fitted))

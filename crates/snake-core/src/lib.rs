@@ -62,7 +62,7 @@ pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
 pub use control::{CancelFlag, Control, Counter, Limits, Progress, Stage, check_num_threads, parallel_map};
 pub use detect::{
-    Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank, cluster_hint,
+    Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank, keypoint_hint,
 };
 pub use error::{Error, Result};
 pub use field::{Field, Grid};

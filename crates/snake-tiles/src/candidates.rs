@@ -1,5 +1,5 @@
 //! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start`, `rank`,
-//! `corner`, `covariance` `(N, 3, 3)` and `cell` `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
+//! `covariance` `(N, 3, 3)` and `cell` `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &Tile
     let covariances: Vec<u8> =
         candidates.iter().flat_map(|c| c.covariance.rows()).flatten().flat_map(f32::to_ne_bytes).collect();
     let (saliency, occupancy, start) = (of(|c| c.saliency), of(|c| c.occupancy), of(|c| c.start));
-    let (rank, corner) = (of(|c| c.rank), of(|c| c.corner));
+    let rank = of(|c| c.rank);
     let number = candidates.len();
     let tensors = [
         ("position", Dtype::F32, vec![number, 3], &positions),
@@ -50,7 +50,6 @@ pub(crate) fn write(folder: &RunFolder, run: &str, place: [i32; 2], found: &Tile
         ("occupancy", Dtype::F32, vec![number], &occupancy),
         ("start", Dtype::F32, vec![number], &start),
         ("rank", Dtype::F32, vec![number], &rank),
-        ("corner", Dtype::F32, vec![number], &corner),
         ("covariance", Dtype::F32, vec![number, 3, 3], &covariances),
         ("cell", Dtype::I32, vec![number, 3], &cells),
     ]
@@ -89,14 +88,13 @@ fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {
     let of = |name| data(name).map(bytemuck::pod_collect_to_vec::<u8, f32>);
     let covariances: Vec<[[f32; 3]; 3]> = bytemuck::pod_collect_to_vec(data("covariance")?);
     let [saliency, occupancy, start] = [of("saliency")?, of("occupancy")?, of("start")?];
-    let [rank, corner] = [of("rank")?, of("corner")?];
+    let rank = of("rank")?;
     let candidate = |i: usize| {
         Some(Candidate {
             position: *positions.get(i)?,
             saliency: *saliency.get(i)?,
             occupancy: *occupancy.get(i)?,
             covariance: (*covariances.get(i)?).into(),
-            corner: *corner.get(i)?,
             rank: *rank.get(i)?,
             start: *start.get(i)?,
             cell: *cells.get(i)?,

@@ -3,7 +3,7 @@
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
-use snake_core::{Chosen, Control, Detection, Field, MeshOptions, Result, cluster_hint};
+use snake_core::{Chosen, Control, Detection, Field, MeshOptions, Result};
 use snake_geometry::{Mesh, Normalization, Point, add_origin};
 use snake_io as io;
 
@@ -32,6 +32,8 @@ pub struct ShownCloud {
     pub saliency: [Vec<f32>; 2],
     /// Its keypoints.
     pub detection: Detection,
+    /// A sentence where they are few or cluster.
+    pub keypoint_hint: Option<String>,
     /// Annotated keypoints to show beside them, relative to the origin.
     pub annotations: Vec<Point>,
 }
@@ -44,11 +46,13 @@ impl ShownCloud {
     pub fn detect(chosen: &Chosen, name: String, control: &Control) -> Result<Self> {
         let field = chosen.encode(control)?;
         let detection = field.detect_with(&chosen.options.detect, control)?;
+        let keypoint_hint = chosen.keypoint_hint(&detection);
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;
         let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-        Ok(Self { name, origin: chosen.origin, field, shown, surface, saliency, detection, annotations: Vec::new() })
+        let (origin, annotations) = (chosen.origin, Vec::new());
+        Ok(Self { name, origin, field, shown, surface, saliency, detection, keypoint_hint, annotations })
     }
 
     /// The positions of the keypoints, relative to the origin.
@@ -56,10 +60,13 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A text where points were left out or the keypoints cluster.
+    /// A text where points were left out, or the keypoints are few or cluster.
     pub fn hint(&self) -> Option<String> {
-        let cluster = cluster_hint(self.field.points(), &self.detection.keypoints);
-        self.field.findings().into_iter().chain(cluster).reduce(|first, second| format!("{first}; {second}"))
+        self.field
+            .findings()
+            .into_iter()
+            .chain(self.keypoint_hint.clone())
+            .reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::{Value, json};
-use snake_core::{Chooser, ChosenBy, Control, Counts, Detection, Progress, add_origin, parallel_map};
+use snake_core::{Chooser, ChosenBy, Control, Detection, Progress, add_origin, parallel_map};
 use snake_io::{self as io, Contents, KeypointFormat, KeypointSource};
 
 use crate::inputs::{DASH, check_inputs, expand, output_origin};
@@ -176,7 +176,7 @@ impl Job<'_> {
         };
         chosen.notes().into_iter().for_each(&mut add_hint);
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
-        chosen.cluster_hint(&detection).into_iter().for_each(&mut add_hint);
+        chosen.keypoint_hint(&detection).into_iter().for_each(&mut add_hint);
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
             let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };
@@ -267,7 +267,7 @@ fn table(
     detection: &Detection,
     total: f64,
 ) -> Result<Report> {
-    let (counts, keypoints) = (detection.counts, &detection.keypoints);
+    let keypoints = &detection.keypoints;
     let mut report = Report::default();
     let mut first = format!("{name}: {} keypoints from {num_points} points", keypoints.len());
     if detection.num_skipped > 0 {
@@ -277,13 +277,7 @@ fn table(
         write!(first, " ({} encoded)", detection.num_encoded)?;
     }
     report.line(format!("{first} in {total:.3} s"));
-    if keypoints.is_empty() {
-        report.line(match counts {
-            Counts { occupied: 0, .. } => "no keypoints: try --set occupancy_threshold=0.3",
-            Counts { above_threshold: 0, .. } => "no keypoints: try a lower --saliency-threshold",
-            _ => "no keypoint is found again more often than chance, as on a flat wall: --min-confidence 0 gives all",
-        });
-    } else {
+    if !keypoints.is_empty() {
         let [x, y, z] = ["x", "y", "z"];
         report.heading(format!(
             "{:>4} {x:>12} {y:>12} {z:>12} {:>9} {:>10} {:>9} {:>8}",

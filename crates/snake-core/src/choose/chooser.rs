@@ -9,7 +9,7 @@ use super::scale_hint;
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::control::clock::Instant;
-use crate::{Builtin, Detection, Field, Model, Options, Preset, Result, cluster_hint};
+use crate::{Builtin, Detection, Field, Model, Options, Preset, Result, keypoint_hint};
 use snake_geometry::{Cloud, NormalizationMethod, Point};
 
 /// Chooses model and options for each cloud of a run, as `snake-cli`, Python and C do.
@@ -300,9 +300,9 @@ impl Chosen<'_> {
         self.model.encode_cloud(&self.cloud, &self.options.encode, control)
     }
 
-    /// [`cluster_hint`] of the cloud's keypoints.
-    pub fn cluster_hint(&self, detection: &Detection) -> Option<String> {
-        cluster_hint(self.cloud.points(), &detection.keypoints)
+    /// [`keypoint_hint`] of the cloud's keypoints.
+    pub fn keypoint_hint(&self, detection: &Detection) -> Option<String> {
+        keypoint_hint(self.cloud.points(), detection, &self.options.detect)
     }
 }
 

@@ -1,9 +1,9 @@
 //! Keypoint detection (SNAKE Algorithm 1).
 
-mod cluster_hint;
 mod corners;
 mod detection;
 mod finish;
+mod keypoint_hint;
 pub(crate) mod localize;
 mod modes;
 pub(crate) mod occupied;
@@ -13,8 +13,8 @@ mod surface;
 pub(crate) mod tests;
 mod tiles;
 
-pub use self::cluster_hint::cluster_hint;
 pub use self::detection::{Counts, Detection, Timing};
+pub use self::keypoint_hint::keypoint_hint;
 pub use self::tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
 
 use self::finish::finish;

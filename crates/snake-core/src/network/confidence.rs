@@ -18,29 +18,23 @@ pub(crate) enum ConfidenceMap {
     Logistic(Logistic),
 }
 
-/// Weights of the binary logarithms of the score, of [`Place::corner`] and of the largest standard deviation in voxels. Values
-/// beyond the ends of [`CORNERS`] and [`DEVIATIONS`] count as the ends.
+/// Weights of the score and of the binary logarithm of the largest standard deviation in voxels, within [`DEVIATIONS`].
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Logistic {
     bias: f32,
     score: f32,
-    corner: f32,
     deviation: f32,
 }
 
-/// From an open direction to a corner.
-const CORNERS: [f32; 2] = [0.005, 0.15];
-/// In voxels.
-const DEVIATIONS: [f32; 2] = [0.02, 4.0];
-const MIN_SCORE: f32 = 0.01;
+/// Smaller and larger standard deviations count as these, in voxels.
+const DEVIATIONS: [f32; 2] = [0.1, 1.0];
 
 impl Logistic {
     fn at(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {
-        let log = |value: f32, [low, high]: [f32; 2]| value.clamp(low, high).log2();
-        let deviation = log(place.covariance.deviation() / voxel_size, DEVIATIONS);
-        let (score, corner) = (log(score, [MIN_SCORE, 1.0]), log(place.corner, CORNERS));
-        let sum = self.bias + self.score * score + self.corner * corner + self.deviation * deviation;
+        let [low, high] = DEVIATIONS;
+        let deviation = (place.covariance.deviation() / voxel_size).clamp(low, high).log2();
+        let sum = self.bias + self.score * score + self.deviation * deviation;
         1.0 / (1.0 + (-sum).exp())
     }
 }
@@ -52,12 +46,12 @@ impl ConfidenceMap {
         let Some(json) = file.metadata.get("confidence") else { return Ok(None) };
         let refused = |found: String| {
             let expected = "2 to 64 pairs [score, probability], scores rising, probabilities in 0 to 1 and not falling, or an \
-                            object of finite numbers bias, score, corner and deviation";
+                            object of finite numbers bias, score and deviation";
             weights::error("confidence", expected, found)
         };
         if json.trim_start().starts_with('{') {
             let map: Logistic = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
-            let is_finite = [map.bias, map.score, map.corner, map.deviation].iter().all(|weight| weight.is_finite());
+            let is_finite = [map.bias, map.score, map.deviation].iter().all(|weight| weight.is_finite());
             return if is_finite { Ok(Some(Self::Logistic(map))) } else { Err(refused(json.clone())) };
         }
         let knots: Vec<[f32; 2]> = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
@@ -92,6 +86,7 @@ mod tests {
     use super::Place;
     use crate::{Builtin, Error, Model};
     use safetensors::SafeTensors;
+    use snake_geometry::Covariance;
 
     /// The model `compact` with another map; `None` is none.
     fn model(map: Option<&str>) -> crate::Result<Model> {
@@ -119,6 +114,22 @@ mod tests {
     }
 
     #[test]
+    fn the_logistic_map_rises_with_the_score_and_with_what_the_points_determine() {
+        let model = model(Some(r#"{"bias": -2.0, "score": 1.0, "deviation": -3.0}"#)).unwrap();
+        let map = model.network().confidence.as_ref().unwrap();
+        let place = |deviation: f32| {
+            let variance = f64::from(deviation).powi(-2);
+            let covariance = Covariance::from_information(&(nalgebra::Matrix3::identity() * variance), 0.0);
+            Place { covariance, ..Place::unknown([0.0; 3]) }
+        };
+        let expected = |sum: f32| 1.0 / (1.0 + (-sum).exp());
+        for (score, deviation, sum) in [(0.5, 1.0, -1.5), (0.5, 0.5, 1.5), (1.0, 9.0, -1.0)] {
+            assert!((map.at(score, &place(deviation * 0.2), 0.2) - expected(sum)).abs() < 1e-5, "{score} {deviation}");
+        }
+        assert_eq!(map.at(0.5, &Place::unknown([0.0; 3]), 0.2), map.at(0.5, &place(0.2), 0.2));
+    }
+
+    #[test]
     fn broken_maps_are_refused() {
         let many = format!("[{}]", (0..65).map(|i| format!("[{i}, 0.5]")).collect::<Vec<_>>().join(","));
         for broken in [
@@ -135,6 +146,9 @@ mod tests {
             "[[0.1, null], [0.2, 1]]",
             "[[1e99, 0.5], [2e99, 0.6]]",
             &many,
+            "{\"bias\": 1, \"score\": 1}",
+            "{\"bias\": 1e99, \"score\": 1, \"deviation\": 1}",
+            "{\"bias\": 1, \"score\": 1, \"deviation\": 1, \"other\": 1}",
         ] {
             let error = model(Some(broken)).unwrap_err();
             assert!(matches!(&error, Error::Weights { tensor, .. } if tensor == "confidence"), "{broken}: {error}");

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// The covariance of a position in squared cloud units: a symmetric matrix, infinite along directions that are open.
 ///
-/// An open direction `u` makes the entries `(i, j)` infinite, of the sign of `u_i u_j`, where that is not 0. Serde writes the
+/// An open direction `u` makes the entries `(i, j)` infinite, of the sign of `u_i u_j`, where that is not about 0. Serde writes the
 /// rows, with `null` for infinite entries.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(from = "[[Option<f32>; 3]; 3]", into = "[[Option<f32>; 3]; 3]")]
@@ -54,7 +54,7 @@ impl Covariance {
 }
 
 /// An open direction has a part along two axes if the product of its components is larger than this.
-const MIN_SHARE: f64 = 1e-6;
+const MIN_SHARE: f64 = 0.03;
 
 impl From<[[f32; 3]; 3]> for Covariance {
     fn from(rows: [[f32; 3]; 3]) -> Self {

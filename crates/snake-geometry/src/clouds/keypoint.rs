@@ -20,7 +20,7 @@ pub struct Keypoint {
     /// Index of the nearest input point, in the cloud as it was given.
     pub nearest_index: usize,
     /// Probability in [0, 1] that another view of the same surface finds it again: within 4 % of the radius of an object, two
-    /// voxels of a scene. `None` if the model's file has no map of confidences.
+    /// voxels of a scene or less: at most a 104th of its box's diagonal. `None` if the model's file has no map of confidences.
     pub confidence: Option<f32>,
     /// The covariance of the position, by the planes of the points around it.
     pub covariance: Covariance,

@@ -1,7 +1,8 @@
 //! Where exactly: the point nearest to the tangent planes of the points around a keypoint (Förstner and Gülch 1987).
 //!
 //! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
-//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
+//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`, and of its squared distance from the keypoint,
+//! each divided by its variance. A weight `w` falls with the distance from
 //! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
 //! 1985). Where the patches leave a direction open, the keypoint stays along it.
 //!
@@ -12,7 +13,7 @@ mod patches;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 use self::patches::Patches;
@@ -29,14 +30,16 @@ const FEW_PATCHES: f32 = 80.0;
 const MAX_GROWTH: f32 = 1.6;
 /// Patches lie this share of the radius apart, and have points within the second share.
 const PATCHES: [f32; 2] = [0.2, 0.5];
-/// Rounds of weights and solution.
-const ROUNDS: usize = 4;
-/// The weight that holds a keypoint, as a share of all weights.
+/// The standard deviation of a keypoint of the field, as a share of the radius. Planes that tell less leave it where it is.
+const FIELD: f64 = 0.3;
+/// The first round holds a keypoint with this share of all weights: its residuals are those of a place that is not found yet.
 const HOLD: f64 = 0.003;
-/// The residual, as a share of the radius, at which a patch counts a quarter.
-const TOLERANCE: f64 = 0.3;
+/// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
+const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
 /// The uncertainty of a normal, in radians, at which a patch counts half.
 const TILT: f64 = 0.1;
+/// The ratio of the variances across and along a patch at which it counts a quarter: it lies across an edge.
+const FLATNESS: f64 = 0.1;
 /// A direction is open if less than this share of the weights is along it.
 const OPEN: f64 = 0.005;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
@@ -83,9 +86,10 @@ fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
     patches.anchors.within(&keypoint, radius, |_| number += 1);
     let radius = radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
     let mut place = Place::unknown(keypoint);
-    for round in 0..ROUNDS {
-        let planes = Planes::near(patches, &place.position, radius, round > 0);
-        match planes.solved(vector(place.position)) {
+    for (round, tolerance) in TOLERANCES.into_iter().enumerate() {
+        let planes = Planes::near(patches, &place.position, radius, tolerance * f64::from(radius));
+        let hold = if round == 0 { HOLD } else { planes.variance(radius) / (FIELD * f64::from(radius)).powi(2) };
+        match planes.solved(vector(place.position), vector(keypoint), hold) {
             Some(position) if (position - vector(keypoint)).norm() <= f64::from(radius) => {
                 place = planes.place(position, radius);
             }
@@ -106,10 +110,9 @@ struct Planes {
 }
 
 impl Planes {
-    fn near(patches: &Patches, at: &Point, radius: f32, is_robust: bool) -> Self {
+    fn near(patches: &Patches, at: &Point, radius: f32, tolerance: f64) -> Self {
         let mut sums = Self::default();
         let radius_squared = f64::from(radius).powi(2);
-        let tolerance_squared = TOLERANCE.powi(2) * radius_squared;
         patches.anchors.within(at, radius, |anchor| {
             let Some(patch) = patches.at(anchor) else { return };
             let anchor = vector(patches.anchors.points()[anchor]) - vector(*at);
@@ -117,9 +120,7 @@ impl Planes {
             let residual = patch.normal.dot(&mean);
             let mut weight = (1.0 - anchor.norm_squared() / radius_squared).max(0.0);
             weight /= 1.0 + (patch.tilt / TILT).powi(2);
-            if is_robust {
-                weight /= (1.0 + residual * residual / tolerance_squared).powi(2);
-            }
+            weight /= ((1.0 + (patch.flatness / FLATNESS).powi(2)) * (1.0 + (residual / tolerance).powi(2))).powi(2);
             sums.weight += weight;
             sums.squared_weight += weight * weight;
             sums.squared_residual += weight * residual * residual;
@@ -129,21 +130,35 @@ impl Planes {
         sums
     }
 
-    /// The position nearest to the planes; `None` without planes.
-    fn solved(&self, at: Vector) -> Option<Vector> {
-        let system = self.normals / self.weight + Matrix3::identity() * HOLD;
-        let inverse = system.try_inverse().filter(|_| self.weight > 0.0)?;
-        Some(at + inverse * (self.target / self.weight))
+    /// The position nearest to the planes and, with the weight `hold`, to the keypoint, which stays along directions that the
+    /// planes leave open; `None` without planes.
+    fn solved(&self, at: Vector, keypoint: Vector, hold: f64) -> Option<Vector> {
+        if self.weight <= 0.0 {
+            return None;
+        }
+        let SymmetricEigen { eigenvalues, eigenvectors } = (self.normals / self.weight).symmetric_eigen();
+        let (target, back) = (self.target / self.weight, keypoint - at);
+        let step = |axis: usize| {
+            let direction: Vector = eigenvectors.column(axis).into();
+            let share = eigenvalues[axis];
+            let known = || (target + back * hold).dot(&direction) / (share + hold);
+            direction * if share > OPEN { known() } else { back.dot(&direction) }
+        };
+        Some(at + step(0) + step(1) + step(2)).filter(|position| position.iter().all(|value| value.is_finite()))
+    }
+
+    /// The variance of the mean of all residuals.
+    fn variance(&self, radius: f32) -> f64 {
+        let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
+        (self.squared_residual / self.weight).max((MIN_RESIDUAL * f64::from(radius)).powi(2)) / number
     }
 
     fn place(&self, position: Vector, radius: f32) -> Place {
-        let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
-        let variance = (self.squared_residual / self.weight).max((MIN_RESIDUAL * f64::from(radius)).powi(2));
         let normals = self.normals / self.weight;
         let least = normals.symmetric_eigenvalues().min();
         Place {
             position: position.map(|v| v as f32).into(),
-            covariance: Covariance::from_information(&(normals * (number / variance)), OPEN),
+            covariance: Covariance::from_information(&(normals / self.variance(radius)), OPEN),
             corner: least as f32,
         }
     }

@@ -8,12 +8,15 @@ use nalgebra::Matrix3;
 use crate::Result;
 use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 
-/// Numbers of nearest points of a patch. The first one whose normal is certain is taken: points with noise need more of them, and
-/// so do points on beams, whose nearest neighbours lie on a line.
+/// Numbers of nearest points of a patch. The first one that is flat and whose normal is certain is taken: points with noise need more
+/// of them, and so do points on beams, whose nearest neighbours lie on a line.
 const SIZES: [usize; 4] = [12, 24, 48, 96];
 
 /// A normal is certain if its standard deviation is below this, in radians.
 const MAX_TILT: f64 = 0.1;
+
+/// A patch is flat if the variance across it is below this share of the smaller one along it. At an edge it is about a quarter.
+const MAX_FLATNESS: f64 = 0.15;
 
 /// Fewer points have no plane.
 const MIN_POINTS: usize = 6;
@@ -32,6 +35,8 @@ pub(super) struct Patch {
     pub(super) normal: Vector,
     /// The standard deviation of the normal in radians.
     pub(super) tilt: f64,
+    /// The ratio of the variance across the patch to the smaller one along it.
+    pub(super) flatness: f64,
 }
 
 /// The first point of each cubic cell of a cloud.
@@ -73,7 +78,8 @@ impl<'a> Patches<'a> {
                 near = self.near(at, reach);
             }
             patch = fit(&near[..size.min(near.len())]);
-            if patch.is_some_and(|patch| patch.tilt < MAX_TILT) || size >= near.len() {
+            let is_plane = |patch: Patch| patch.tilt < MAX_TILT && patch.flatness < MAX_FLATNESS;
+            if patch.is_some_and(is_plane) || size >= near.len() {
                 break;
             }
         }
@@ -99,5 +105,6 @@ fn fit(points: &[Vector]) -> Option<Patch> {
     let scatter: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
     let ([across, width, length], normal) = eigen(scatter / count);
     let is_plane = points.len() >= MIN_POINTS && width > MIN_WIDTH * length;
-    is_plane.then(|| Patch { mean, normal, tilt: (across.max(0.0) / (width * count)).sqrt() })
+    let flatness = across.max(0.0) / width;
+    is_plane.then(|| Patch { mean, normal, tilt: (flatness / count).sqrt(), flatness })
 }

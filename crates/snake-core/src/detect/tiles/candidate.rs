@@ -15,8 +15,6 @@ pub struct Candidate {
     pub occupancy: f32,
     /// Covariance of the position.
     pub covariance: Covariance,
-    /// How much of a corner the points show.
-    pub corner: f32,
     /// What candidates are ranked by: the confidence, or the score if the model has no map that knows more.
     pub rank: f32,
     /// Saliency in [0, 1] where it started; the score without mode seeking.
@@ -28,14 +26,14 @@ pub struct Candidate {
 impl Candidate {
     /// The query of a voxel.
     pub(super) fn new(place: Place, saliency: f32, cell: [i32; 3]) -> Self {
-        let Place { position, covariance, corner } = place;
-        Self { position, saliency, occupancy: 0.0, covariance, corner, rank: saliency, start: saliency, cell }
+        let Place { position, covariance, .. } = place;
+        Self { position, saliency, occupancy: 0.0, covariance, rank: saliency, start: saliency, cell }
     }
 
     /// The localized position.
     pub(super) fn place(&self) -> Place {
-        let Self { position, covariance, corner, .. } = *self;
-        Place { position, covariance, corner }
+        let Self { position, covariance, .. } = *self;
+        Place { covariance, ..Place::unknown(position) }
     }
 }
 

@@ -267,13 +267,7 @@ impl TileDetector {
             let places = localize(&field, &positions)?;
             let localized = |(candidate, place): (Candidate, Place)| {
                 let rank = self.network.rank(candidate.saliency, &place, self.voxel_size);
-                Candidate {
-                    position: place.position,
-                    covariance: place.covariance,
-                    corner: place.corner,
-                    rank,
-                    ..candidate
-                }
+                Candidate { position: place.position, covariance: place.covariance, rank, ..candidate }
             };
             candidates = modes.into_iter().zip(places).map(localized).collect();
         }
