@@ -3,6 +3,7 @@
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
+use super::localize::anchors;
 use crate::Result;
 use crate::field::Field;
 use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
@@ -10,16 +11,18 @@ use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 /// The radius in voxels within which the most salient place is looked for.
 const SEARCH: f32 = 2.0;
 /// The radius in voxels of the mean around it.
-const MEAN: f32 = 1.7;
+const MEAN: f32 = 2.0;
 /// A point shows the surface if so many points, with itself, ...
 const SHOWN_BY: usize = 5;
 /// ... lie within this many voxels, and ...
 const SHOWN_WITHIN: f64 = 0.7;
 /// ... so many nearest points are this flat: the standard deviation across them is this share of the smaller one along them.
-const FLAT: (usize, f64) = (16, 0.5);
+const FLAT: (usize, f64) = (16, 0.6);
 /// Points that are asked, at most. Half of them decide.
 const ASKED: usize = 300;
-/// Places are at least about this many voxels apart.
+/// Of more points than this, ...
+const MANY: usize = 8192;
+/// ... one for each cell of this many voxels is a place.
 const APART: f32 = 0.2;
 
 /// Where a keypoint can lie.
@@ -41,7 +44,11 @@ pub(super) fn on_surface(field: &Field, candidates: (&[Point], &[f32]), keypoint
     }
     let voxel = field.voxel_size();
     if is_shown(field.points(), voxel)? {
-        let near = near(&super::localize::anchors(field.points(), APART * voxel), keypoints, 2.0 * SEARCH * voxel)?;
+        let points = match field.points() {
+            points if points.len() > MANY => &anchors(points, APART * voxel),
+            points => points,
+        };
+        let near = near(points, keypoints, 2.0 * SEARCH * voxel)?;
         let saliency = field.saliency(&near)?;
         let weights = saliency.iter().map(|saliency| saliency.powi(4)).collect();
         return moved(&Places { positions: &near, saliency: &saliency, weights }, keypoints, voxel);

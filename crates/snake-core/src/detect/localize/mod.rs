@@ -1,10 +1,9 @@
 //! Where exactly: the point nearest to the tangent planes of the points around a keypoint (Förstner and Gülch 1987).
 //!
 //! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
-//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`, and of its squared distance from the keypoint,
-//! each divided by its variance. A weight `w` falls with the distance from
+//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
 //! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
-//! 1985). Where the patches leave a direction open, the keypoint stays along it.
+//! 1985). The keypoint stays along directions that the patches do not determine.
 //!
 //! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of the place. All of it depends on the
 //! points near a keypoint alone: tiles have the same bits.
@@ -30,9 +29,10 @@ const FEW_PATCHES: f32 = 80.0;
 const MAX_GROWTH: f32 = 1.6;
 /// Patches lie this share of the radius apart, and have points within the second share.
 const PATCHES: [f32; 2] = [0.2, 0.5];
-/// The standard deviation of a keypoint of the field, as a share of the radius. Planes that tell less leave it where it is.
-const FIELD: f64 = 0.3;
-/// The first round holds a keypoint with this share of all weights: its residuals are those of a place that is not found yet.
+/// A direction is determined if the standard deviation along it is below this share of the radius. Keypoints of rooms whose points
+/// determine all three are found again by 0.8 of other views, others by a quarter, at whatever deviation.
+const DETERMINED: f64 = 0.12;
+/// The weight that holds a keypoint along the others, as a share of all weights.
 const HOLD: f64 = 0.003;
 /// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
 const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
@@ -86,15 +86,15 @@ fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
     patches.anchors.within(&keypoint, radius, |_| number += 1);
     let radius = radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
     let mut place = Place::unknown(keypoint);
-    for (round, tolerance) in TOLERANCES.into_iter().enumerate() {
-        let planes = Planes::near(patches, &place.position, radius, tolerance * f64::from(radius));
-        let hold = if round == 0 { HOLD } else { planes.variance(radius) / (FIELD * f64::from(radius)).powi(2) };
-        match planes.solved(vector(place.position), vector(keypoint), hold) {
-            Some(position) if (position - vector(keypoint)).norm() <= f64::from(radius) => {
-                place = planes.place(position, radius);
-            }
-            _ => return Place::unknown(keypoint),
+    let mut at = keypoint;
+    for tolerance in TOLERANCES {
+        let planes = Planes::near(patches, &at, radius, tolerance * f64::from(radius));
+        let Some(nearest) = planes.nearest(&at) else { return Place::unknown(keypoint) };
+        if (nearest - vector(keypoint)).norm() > f64::from(radius) {
+            return Place::unknown(keypoint);
         }
+        at = nearest.map(|v| v as f32).into();
+        place = planes.place(vector(keypoint), nearest, radius);
     }
     place
 }
@@ -130,36 +130,30 @@ impl Planes {
         sums
     }
 
-    /// The position nearest to the planes and, with the weight `hold`, to the keypoint, which stays along directions that the
-    /// planes leave open; `None` without planes.
-    fn solved(&self, at: Vector, keypoint: Vector, hold: f64) -> Option<Vector> {
-        if self.weight <= 0.0 {
-            return None;
-        }
-        let SymmetricEigen { eigenvalues, eigenvectors } = (self.normals / self.weight).symmetric_eigen();
-        let (target, back) = (self.target / self.weight, keypoint - at);
-        let step = |axis: usize| {
-            let direction: Vector = eigenvectors.column(axis).into();
-            let share = eigenvalues[axis];
-            let known = || (target + back * hold).dot(&direction) / (share + hold);
-            direction * if share > OPEN { known() } else { back.dot(&direction) }
-        };
-        Some(at + step(0) + step(1) + step(2)).filter(|position| position.iter().all(|value| value.is_finite()))
+    /// The position nearest to the planes, from the one that the sums are relative to; `None` without planes.
+    fn nearest(&self, at: &Point) -> Option<Vector> {
+        let system = self.normals / self.weight + Matrix3::identity() * HOLD;
+        let inverse = system.try_inverse().filter(|_| self.weight > 0.0)?;
+        Some(vector(*at) + inverse * (self.target / self.weight))
     }
 
-    /// The variance of the mean of all residuals.
-    fn variance(&self, radius: f32) -> f64 {
+    /// The place of a keypoint that moves to a position along the directions that the planes determine.
+    fn place(&self, keypoint: Vector, nearest: Vector, radius: f32) -> Place {
         let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
-        (self.squared_residual / self.weight).max((MIN_RESIDUAL * f64::from(radius)).powi(2)) / number
-    }
-
-    fn place(&self, position: Vector, radius: f32) -> Place {
+        let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * f64::from(radius));
         let normals = self.normals / self.weight;
-        let least = normals.symmetric_eigenvalues().min();
+        let information = normals * (number / residual.powi(2));
+        let SymmetricEigen { eigenvalues, eigenvectors } = normals.symmetric_eigen();
+        let needed = residual.powi(2) / number / (DETERMINED * f64::from(radius)).powi(2);
+        let along = |axis: usize| {
+            let direction: Vector = eigenvectors.column(axis).into();
+            let is_determined = eigenvalues[axis] > needed.max(OPEN);
+            if is_determined { direction * direction.dot(&(nearest - keypoint)) } else { Vector::zeros() }
+        };
         Place {
-            position: position.map(|v| v as f32).into(),
-            covariance: Covariance::from_information(&(normals / self.variance(radius)), OPEN),
-            corner: least as f32,
+            position: (keypoint + along(0) + along(1) + along(2)).map(|v| v as f32).into(),
+            covariance: Covariance::from_information(&information, OPEN),
+            corner: eigenvalues.min() as f32,
         }
     }
 }
