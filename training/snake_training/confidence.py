@@ -27,7 +27,7 @@ from .export import replacing
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
 SCENE_SHARE = 104  # the reach is at most this part of a scene's diagonal: sparse points have large voxels
 WEIGHTS = "score", "deviation"
-DEVIATIONS = 0.1, 1.0  # voxels
+DEVIATIONS = 0.1, 0.6  # voxels
 DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
 MIN_POINTS = 2000  # of a thinned cloud
 RIDGE = 1e-6

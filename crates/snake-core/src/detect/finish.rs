@@ -74,7 +74,7 @@ pub(super) fn finish(
     })
 }
 
-/// What suppression keeps, best first: by rank, or corners first.
+/// What suppression keeps, best first: by saliency, in scenes also by what the points determine, or corners first.
 fn kept(
     field: &Field,
     places: Vec<Place>,
@@ -84,10 +84,10 @@ fn kept(
 ) -> Result<(Vec<Place>, Vec<f32>)> {
     let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
     let ranks: Vec<f32> = match options.prefer {
-        Preference::Salient => {
-            let rank = |(&score, place): (&f32, &Place)| field.network().rank(score, place, field.voxel_size());
-            scores.iter().zip(&places).map(rank).collect()
+        Preference::Salient if field.lattice().is_scene() => {
+            scores.iter().zip(&places).map(|(&score, place)| place.rank(score)).collect()
         }
+        Preference::Salient => scores.clone(),
         Preference::Corners => corners::ranks(field, &places, &scores)?,
     };
     let kept = suppress(&positions, &ranks, radius, options.max_keypoints)?;

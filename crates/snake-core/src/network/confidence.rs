@@ -28,7 +28,7 @@ pub(crate) struct Logistic {
 }
 
 /// Smaller and larger standard deviations count as these, in voxels.
-const DEVIATIONS: [f32; 2] = [0.1, 1.0];
+const DEVIATIONS: [f32; 2] = [0.1, 0.6];
 
 impl Logistic {
     fn at(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {

@@ -65,12 +65,4 @@ impl Network {
     pub(crate) fn confidence(&self, score: f32, place: &Place, voxel_size: f32) -> Option<f32> {
         self.confidence.as_ref().map(|map| map.at(score, place, voxel_size))
     }
-
-    /// What keypoints are ranked by: the confidence if the map knows more than the score, else the score.
-    pub(crate) fn rank(&self, score: f32, place: &Place, voxel_size: f32) -> f32 {
-        match &self.confidence {
-            Some(map @ ConfidenceMap::Logistic(_)) => map.at(score, place, voxel_size),
-            _ => score,
-        }
-    }
 }

@@ -86,7 +86,8 @@ options! {
         /// Radius within which keypoints move to the mean of the candidates before suppression, which is more precise than the
         /// best single query.
         ///
-        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it.
+        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it. Those of scenes, and
+        /// corners, then move to the point nearest to the planes around them; those of objects onto the surface.
         #[serde(deserialize_with = "none_if_zero")]
         mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
             from 0 or more " (cloud units, or as in `3r` resolutions)";

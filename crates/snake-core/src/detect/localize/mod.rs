@@ -3,7 +3,7 @@
 //! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
 //! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
 //! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
-//! 1985). The keypoint stays along directions that the patches do not determine.
+//! 1985). The keypoint stays along directions that the patches leave open.
 //!
 //! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of the place. All of it depends on the
 //! points near a keypoint alone: tiles have the same bits.
@@ -29,10 +29,7 @@ const FEW_PATCHES: f32 = 80.0;
 const MAX_GROWTH: f32 = 1.6;
 /// Patches lie this share of the radius apart, and have points within the second share.
 const PATCHES: [f32; 2] = [0.2, 0.5];
-/// A direction is determined if the standard deviation along it is below this share of the radius. Keypoints of rooms whose points
-/// determine all three are found again by 0.8 of other views, others by a quarter, at whatever deviation.
-const DETERMINED: f64 = 0.12;
-/// The weight that holds a keypoint along the others, as a share of all weights.
+/// The weight that holds a keypoint, as a share of all weights.
 const HOLD: f64 = 0.003;
 /// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
 const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
@@ -40,6 +37,8 @@ const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
 const TILT: f64 = 0.1;
 /// The ratio of the variances across and along a patch at which it counts a quarter: it lies across an edge.
 const FLATNESS: f64 = 0.1;
+/// Values of [`Place::corner`] that make a difference in rank.
+const CORNERS: [f32; 2] = [0.005, 0.2];
 /// A direction is open if less than this share of the weights is along it.
 const OPEN: f64 = 0.005;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
@@ -58,6 +57,12 @@ pub(crate) struct Place {
 }
 
 impl Place {
+    /// What a keypoint of a scene is ranked by: corners are found again more often than edges and walls of the same saliency.
+    pub(crate) fn rank(&self, score: f32) -> f32 {
+        let [least, most] = CORNERS;
+        score * self.corner.clamp(least, most).sqrt()
+    }
+
     /// A position of which nothing is known.
     pub(crate) fn unknown(position: Point) -> Self {
         Self { position, covariance: Covariance::UNKNOWN, corner: 0.0 }
@@ -137,18 +142,17 @@ impl Planes {
         Some(vector(*at) + inverse * (self.target / self.weight))
     }
 
-    /// The place of a keypoint that moves to a position along the directions that the planes determine.
+    /// The place of a keypoint that moves to a position along the directions that the planes do not leave open.
     fn place(&self, keypoint: Vector, nearest: Vector, radius: f32) -> Place {
         let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
         let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * f64::from(radius));
         let normals = self.normals / self.weight;
         let information = normals * (number / residual.powi(2));
         let SymmetricEigen { eigenvalues, eigenvectors } = normals.symmetric_eigen();
-        let needed = residual.powi(2) / number / (DETERMINED * f64::from(radius)).powi(2);
         let along = |axis: usize| {
             let direction: Vector = eigenvectors.column(axis).into();
-            let is_determined = eigenvalues[axis] > needed.max(OPEN);
-            if is_determined { direction * direction.dot(&(nearest - keypoint)) } else { Vector::zeros() }
+            let moved = if eigenvalues[axis] > OPEN { direction.dot(&(nearest - keypoint)) } else { 0.0 };
+            direction * moved
         };
         Place {
             position: (keypoint + along(0) + along(1) + along(2)).map(|v| v as f32).into(),

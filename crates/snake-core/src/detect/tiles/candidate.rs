@@ -15,7 +15,7 @@ pub struct Candidate {
     pub occupancy: f32,
     /// Covariance of the position.
     pub covariance: Covariance,
-    /// What candidates are ranked by: the confidence, or the score if the model has no map that knows more.
+    /// What candidates are ranked by: the score, and after localization also what the points determine.
     pub rank: f32,
     /// Saliency in [0, 1] where it started; the score without mode seeking.
     pub start: f32,
@@ -27,7 +27,7 @@ impl Candidate {
     /// The query of a voxel.
     pub(super) fn new(place: Place, saliency: f32, cell: [i32; 3]) -> Self {
         let Place { position, covariance, .. } = place;
-        Self { position, saliency, occupancy: 0.0, covariance, rank: saliency, start: saliency, cell }
+        Self { position, saliency, occupancy: 0.0, covariance, rank: place.rank(saliency), start: saliency, cell }
     }
 
     /// The localized position.

@@ -266,7 +266,7 @@ impl TileDetector {
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
             let places = localize(&field, &positions)?;
             let localized = |(candidate, place): (Candidate, Place)| {
-                let rank = self.network.rank(candidate.saliency, &place, self.voxel_size);
+                let rank = place.rank(candidate.saliency);
                 Candidate { position: place.position, covariance: place.covariance, rank, ..candidate }
             };
             candidates = modes.into_iter().zip(places).map(localized).collect();
