@@ -21,8 +21,8 @@ use crate::steps::{Pair, approach, refine};
 /// by hand.
 const PRIOR_TOLERANCE: f64 = 1.5;
 
-/// Fewer reliable registrations tell nothing of the poses.
-const MIN_CHECKED: usize = 3;
+/// Fewer contradictions tell nothing of the poses.
+const MIN_CONTRADICTIONS: usize = 3;
 /// Motions with angles that differ by less may be the same. Unit: degrees. Set by hand.
 const SAME_ANGLE: f64 = 3.0;
 
@@ -159,25 +159,25 @@ impl Priors {
         registered.into_iter().filter(agrees).collect()
     }
 
-    /// What may be wrong with the poses, if most reliable registrations contradict them.
+    /// What may be wrong with the poses, if reliable registrations contradict them: another reading that leaves less than half
+    /// of the contradictions, or nothing known if most contradict.
     pub(super) fn note(&self, checked: &Checked) -> Option<String> {
         let (reliable, count) = (&checked.reliable, self.poses.len());
-        let most = |is_explained: &dyn Fn(&([usize; 2], IsometryMatrix3<f64>)) -> bool| {
-            let pairs = reliable.iter().map(|(pair, found)| (*pair, *found));
-            2 * pairs.filter(is_explained).count() > reliable.len()
-        };
-        let agree = |poses: &[Option<IsometryMatrix3<f64>>]| {
-            most(&|([source, target], found)| match (poses[*source], poses[*target]) {
-                (Some(from), Some(to)) => {
-                    displacement(&(to.inverse() * from), found, &self.probes[*source])
-                        <= self.tolerance([*source, *target])
-                }
-                _ => false,
-            })
-        };
-        if reliable.len() < MIN_CHECKED || 2 * checked.contradictions.len() <= reliable.len() {
+        let contradictions = checked.contradictions.len();
+        if contradictions < MIN_CONTRADICTIONS {
             return None;
         }
+        let leaves_few = |is_explained: &dyn Fn([usize; 2], &IsometryMatrix3<f64>) -> bool| {
+            2 * reliable.iter().filter(|(pair, found)| !is_explained(**pair, found)).count() < contradictions
+        };
+        let agree = |poses: &[Option<IsometryMatrix3<f64>>]| {
+            leaves_few(&|[source, target], found| {
+                poses[source].zip(poses[target]).is_some_and(|(from, to)| {
+                    displacement(&(to.inverse() * from), found, &self.probes[source])
+                        <= self.tolerance([source, target])
+                })
+            })
+        };
         let inverse: Vec<_> = self.poses.iter().map(|pose| pose.map(|pose| pose.inverse())).collect();
         let reverse: Vec<_> = self.poses.iter().rev().copied().collect();
         let by_number = |first: usize| {
@@ -186,11 +186,11 @@ impl Priors {
             as_text.into_iter().map(|place| self.poses[place]).collect::<Vec<_>>()
         };
         // In other axes of the sensor a motion has the same angle, and about the same length.
-        let is_same_motion = |(pair, found): &([usize; 2], IsometryMatrix3<f64>)| {
-            self.t_target_source(*pair).is_some_and(|prior| {
+        let is_same_motion = |pair, found: &IsometryMatrix3<f64>| {
+            self.t_target_source(pair).is_some_and(|prior| {
                 let lengths = [found, &prior].map(|motion| motion.translation.vector.norm());
                 (found.rotation.angle() - prior.rotation.angle()).abs() < SAME_ANGLE.to_radians()
-                    && (lengths[0] - lengths[1]).abs() <= self.tolerance(*pair)
+                    && (lengths[0] - lengths[1]).abs() <= self.tolerance(pair)
             })
         };
         let fits = if agree(&inverse) {
@@ -199,15 +199,14 @@ impl Priors {
             "they fit clouds that are sorted by number, not as text (0, 1, 10, 2)"
         } else if agree(&reverse) {
             "they fit in reverse order"
-        } else if most(&is_same_motion) {
+        } else if leaves_few(&is_same_motion) {
             "their motions fit in other axes, such as those of a camera beside the scanner: a pose is that of the cloud's frame"
-        } else {
+        } else if 2 * contradictions > reliable.len() {
             "check their order, direction and units"
+        } else {
+            return None;
         };
-        let contradictions = checked.contradictions.len();
-        Some(format!(
-            "{contradictions} of {} reliable registrations contradict the initial poses; {fits}",
-            reliable.len()
-        ))
+        let count = reliable.len();
+        Some(format!("{contradictions} of {count} reliable registrations contradict the initial poses; {fits}"))
     }
 }
