@@ -59,7 +59,8 @@ def test_torch_tensors_that_numpy_cannot_see_are_refused(field, points):
     with pytest.raises(TypeError, match="BFloat16"):
         snake_rs.detect(tensor.bfloat16())
     with pytest.raises(
-        ValueError, match=r"^points: expected real numbers of shape \(N, 3\) or more columns, or \(H, W, 3\), found bool"
+        ValueError,
+        match=r"^points: expected real numbers of shape \(N, 3\) or more columns, or \(H, W, 3\), found bool",
     ):
         snake_rs.detect(tensor > 0)
 

@@ -34,7 +34,9 @@ def folder_of(name: str) -> str:
 
 
 def test_no_folder_has_more_lines_than_its_greatest_number():
-    listed = subprocess.run(["git", "ls-files", "*.rs", "*.py", "*.pyi"], cwd=ROOT, capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "ls-files", "*.rs", "*.py", "*.pyi"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     lines = Counter()
     for name in listed.stdout.splitlines():
         if (ROOT / name).is_file():
