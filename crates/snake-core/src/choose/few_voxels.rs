@@ -35,7 +35,7 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
         values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
     };
     let voxel = (0..3).map(|axis| range(axis).powi(2)).sum::<f64>().sqrt() / VOXELS;
-    if !(voxel > 0.0) {
+    if voxel.is_nan() || voxel <= 0.0 {
         return None;
     }
     let cell = |point: &Point| point.map(|v| (f64::from(v) / voxel).round() as i64);
