@@ -292,7 +292,7 @@ fn another_run_is_refused_and_mistakes_leave_nothing() {
     let last = weights.len() - 2;
     weights[last] ^= 0x30;
     let detector = TileDetector::new(&Model::from_bytes(&weights).unwrap(), &options()).unwrap();
-    let outcome = TiledRun::prepare(detector, &[scan.clone()], &ReadOptions::default(), 13.0, &tiles);
+    let outcome = TiledRun::prepare(detector, std::slice::from_ref(&scan), &ReadOptions::default(), 13.0, &tiles);
     assert_refused(outcome, "other inputs, options or weights");
 
     // Another cloud of the same name, size and time.
