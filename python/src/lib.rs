@@ -91,7 +91,7 @@ fn detect(
     let (cloud, precision, mut notes) = arrays::cloud_with_notes("points", points)?;
     let chosen = threads::run(py, || chooser.for_cloud(&cloud))?;
     // Before the detection, which may take minutes at the wrong scale.
-    warn(py, &chosen.notes())?;
+    warn(py, chosen.notes())?;
     notes.extend(chosen.notes());
     let detection = threads::run_watched(py, watch, |control| chosen.detect(control))?;
     let keypoints = Keypoints::chosen(py, detection, notes, &chosen, &cloud, precision)?;
