@@ -88,7 +88,7 @@ mod tests {
             (0..3).for_each(|axis| point[axis] *= unit(i, axis) - 0.5);
             let axis = i % 3;
             point[axis] = [6.0, 5.0, 2.5][axis] * if unit(i, 3) < 0.5 { -0.5 } else { 0.5 };
-            if i % 10 == 0 { [1.5 + unit(i, 0), unit(i, 1), -0.4] } else { point }
+            if i.is_multiple_of(10) { [1.5 + unit(i, 0), unit(i, 1), -0.4] } else { point }
         };
         (0..number).map(point).collect()
     }
