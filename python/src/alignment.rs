@@ -133,7 +133,7 @@ pub fn align(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Alignment> {
     let watch = Watch::new(deadline, progress)?;
-    let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
+    let (options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| {
         let (cloud, _, notes) = arrays::cloud_with_notes("clouds", cloud)?;
         Ok((cloud, notes))
@@ -146,7 +146,7 @@ pub fn align(
     let mut known = core::AlignPriors::default()
         .with_viewpoints(viewpoints.unwrap_or_else(|| vec![None; origins.len()]))
         .with_initial_poses(initial_poses);
-    known.place(&mut options, &origins);
+    known.place(&origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
     let near = threads::run_watched(py, watch, |control| {
         core::align_with(&points, &known, model.as_ref(), &options, &align_options, control)

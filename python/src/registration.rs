@@ -75,8 +75,12 @@ Matches {
 part! {
 /// The used part of a cloud.
 CloudReport {
-    /// Viewpoint that gave the normals their signs: "given", "origin" or "none".
+    /// What is known of the sensor: "given", "found" in the points, "origin" of the frame, or "none".
     viewpoint: String,
+    /// Position of the sensor in the cloud's frame, or None.
+    position: Option<[f64; 3]>,
+    /// Share of the points, 0 to 1, that nothing hides from there, or None.
+    visible: Option<f64>,
     /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
     num_skipped: usize,
 }
@@ -156,6 +160,8 @@ impl Registration {
     fn clouds(&self) -> (CloudReport, CloudReport) {
         let report = |cloud: &core::CloudReport| CloudReport {
             viewpoint: cloud.viewpoint.name().into(),
+            position: cloud.sensor.map(|sensor| sensor.position),
+            visible: cloud.sensor.map(|sensor| sensor.visible),
             num_skipped: cloud.num_skipped,
         };
         let [source, target] = &self.0.clouds;
@@ -213,11 +219,11 @@ pub fn register(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Registration> {
     let watch = Watch::new(deadline, progress)?;
-    let (mut options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
+    let (options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
     let (source, _, from_source) = arrays::cloud_with_notes("source", source)?;
     let (target, _, from_target) = arrays::cloud_with_notes("target", target)?;
     let model = model::for_registration(py, model, &options, Some(&target))?;
-    pair.place(&mut options, source.origin, target.origin);
+    pair.place(source.origin, target.origin);
     let (from, to) = (&source.points, &target.points);
     let near = threads::run_watched(py, watch, |control| {
         core::register_with(from, to, model.as_ref(), &options, &pair, control)

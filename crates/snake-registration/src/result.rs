@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_geometry::{Point, RigidTransform};
+use snake_geometry::{Point, RigidTransform, Sensor};
 
 /// The result of [`register`](crate::register()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -130,6 +130,9 @@ pub struct Matches {
 pub struct CloudReport {
     /// The viewpoint that gave the normals their signs.
     pub viewpoint: ViewpointUsed,
+    /// The sensor at that viewpoint, in the cloud's frame; `None` without one.
+    #[serde(default)]
+    pub sensor: Option<Sensor>,
     /// Number of points that were skipped because they are not finite, are outliers or stand for
     /// missing returns.
     pub num_skipped: usize,
@@ -157,7 +160,9 @@ pub struct Hypothesis {
 pub enum ViewpointUsed {
     /// The option's or the file's.
     Given,
-    /// The origin of the cloud's frame, from which most of the cloud is visible.
+    /// The place that the densities of the points tell.
+    Found,
+    /// The origin of the cloud's frame, to which the densities lead, or ahead of which all of the cloud lies.
     Origin,
     /// None: normals have no sign.
     None,
@@ -168,6 +173,7 @@ impl ViewpointUsed {
     pub fn name(self) -> &'static str {
         match self {
             Self::Given => "given",
+            Self::Found => "found",
             Self::Origin => "origin",
             Self::None => "none",
         }
@@ -208,6 +214,10 @@ impl Registration {
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
         let source = source.map(|v| self.scale * v);
         self.t_target_source = self.t_target_source.add_origins(source, target);
+        for (cloud, origin) in self.clouds.iter_mut().zip([source, target]) {
+            let position = cloud.sensor.iter_mut().flat_map(|sensor| &mut sensor.position);
+            position.zip(origin).for_each(|(v, origin)| *v += origin);
+        }
         for hypothesis in &mut self.hypotheses {
             hypothesis.t_target_source = hypothesis.t_target_source.add_origins(source, target);
         }

@@ -9,6 +9,7 @@ mod mesh;
 mod missing;
 mod outliers;
 mod points;
+mod sensor;
 
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use keypoint::Keypoint;
@@ -16,3 +17,4 @@ pub use length::{Length, gaps, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
 pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};
+pub use sensor::Sensor;

@@ -21,7 +21,7 @@ use nalgebra::{IsometryMatrix3, Matrix6};
 use crate::cloud::patches::{self, overlap};
 use crate::cloud::planes::{information, plane_pairs};
 use crate::cloud::surface::{Surface, fitness};
-use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict};
+use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 use crate::steps::matches::{Match, inliers};
 use crate::steps::pair::Pair;
 use crate::steps::refine::Candidate;
@@ -75,9 +75,12 @@ pub(crate) fn judge_counted(
     let best = &candidates[0];
     let fit = Fit::measure(pair, &best.t_target_source);
     let verdict = verdict(pair, candidates, &fit, &counts, agreeing)?;
-    let viewpoints = pair.viewpoints_used();
-    let report =
-        |place: usize| CloudReport { viewpoint: viewpoints[place], num_skipped: pair.clouds()[place].num_skipped };
+    let viewpoints = pair.viewpoints();
+    let report = |place: usize| CloudReport {
+        viewpoint: viewpoints[place].map_or(ViewpointUsed::None, |viewpoint| viewpoint.used),
+        sensor: viewpoints[place].map(|viewpoint| viewpoint.sensor),
+        num_skipped: pair.clouds()[place].num_skipped,
+    };
     Ok(Registration {
         t_target_source: best.t_target_source,
         verdict,

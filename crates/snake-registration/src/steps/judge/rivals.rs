@@ -55,6 +55,10 @@ const HOPELESS: f64 = 0.5;
 /// have 0.1 and more.
 const MIRROR_LEAD: f64 = 0.06;
 
+/// Absence contradicts a rival where it loses more places than it gains by so many standard deviations. Half turns of
+/// rooms that are the answer have -5 to 2 beside the truth, the other way round 4 and more.
+const MIN_DEVIATIONS: f64 = 3.0;
+
 /// What leads from the winner to its rival.
 #[derive(Debug, Clone, Copy)]
 enum Motion {
@@ -87,26 +91,37 @@ struct Counts {
     winner: usize,
     /// The reverse.
     rival: usize,
+    /// Places that the winner brings onto a cloud whose sensor is not known, and the rival to where it has nothing.
+    absent: usize,
+    /// The reverse.
+    gained: usize,
 }
 
 impl Counts {
     /// By how much the winner leads, as a share of the places that it explains.
     fn lead(&self) -> f64 {
-        (self.winner as f64 - self.rival as f64) / self.explained()
+        ((self.winner + self.absent) as f64 - (self.rival + self.gained) as f64) / self.explained()
     }
 
-    /// The share of the places that the winner explains and the rival contradicts.
+    /// The share of the places that the winner explains and the rival does not.
     fn contradicted(&self) -> f64 {
-        self.winner as f64 / self.explained()
+        (self.winner + self.absent) as f64 / self.explained()
     }
 
-    /// [`contradicted`](Self::contradicted), as a share of the places that tell the two apart.
+    /// The share of the places that tell the two apart which the rival contradicts.
     fn contradicted_of_telling(&self) -> f64 {
-        self.winner as f64 / (self.telling + self.winner).max(1) as f64
+        let contradicted = self.winner + if self.absence_tells() { self.absent } else { 0 };
+        contradicted as f64 / (self.telling + contradicted).max(1) as f64
+    }
+
+    /// Whether absence contradicts the rival: nobody knows where an unknown sensor looked, and a rival that explains as
+    /// many other places instead is as good (McNemar's test).
+    fn absence_tells(&self) -> bool {
+        self.absent as f64 - self.gained as f64 > MIN_DEVIATIONS * ((self.absent + self.gained) as f64).sqrt()
     }
 
     fn explained(&self) -> f64 {
-        (self.both + self.winner).max(1) as f64
+        (self.both + self.winner + self.absent).max(1) as f64
     }
 }
 
@@ -135,7 +150,7 @@ impl Rival {
     /// a cloud looks like itself, explains too; 0 for a mirror image.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
-            Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
+            Motion::Shift(_) => self.counts.both as f64 / self.counts.explained(),
             Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Mirror => 0.0,
         }
@@ -358,15 +373,16 @@ impl<'a, 'b> Scene<'a, 'b> {
         let transforms = [(*transform, *self.fitting.winner), (transform.inverse(), self.fitting.winner.inverse())];
         for (from, (transform, winner)) in transforms.into_iter().enumerate() {
             for (place, by_winner) in &self.sample[from] {
-                let Some(by_winner) = by_winner else { continue };
                 let moved = place.moved(&transform);
                 match (by_winner, self.explains(&moved, 1 - from)) {
-                    (true, Some(true)) => {
+                    (Some(true), Some(true)) => {
                         counts.both += 1;
                         counts.telling += usize::from(self.tells(&place.moved(&winner), &moved));
                     }
-                    (true, Some(false)) => counts.winner += 1,
-                    (false, Some(true)) => counts.rival += 1,
+                    (Some(true), Some(false)) => counts.winner += 1,
+                    (Some(false), Some(true)) => counts.rival += 1,
+                    (Some(true), None) if self.images[1 - from].is_none() => counts.absent += 1,
+                    (None, Some(true)) if self.images[1 - from].is_none() => counts.gained += 1,
                     _ => (),
                 }
             }
@@ -384,9 +400,9 @@ impl<'a, 'b> Scene<'a, 'b> {
     }
 
     /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud
-    /// does not tell. A cloud without a known sensor is taken to show all there is.
+    /// does not tell: nobody knows where the sensor of a model or of merged scans did not look.
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
-        let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
+        let is_free = || self.images[cloud].as_ref().is_some_and(|image| image.sight(&place.point) == Sight::Free);
         self.fine[cloud]
             .lies_on(place, self.fitting.pair.criteria().inlier_distance)
             .or_else(|| is_free().then_some(false))
@@ -402,11 +418,19 @@ mod tests {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
             motion: Motion::Mirror,
-            counts: Counts { both: 200, telling: 200, winner, rival },
+            counts: Counts { both: 200, telling: 200, winner, rival, absent: 0, gained: 0 },
             is_standing: false,
             moved: 1.0,
         };
         assert!(mirrored(180, 500).is_equal());
         assert!(!mirrored(180, 180).is_equal());
+    }
+
+    #[test]
+    fn absence_before_an_unknown_sensor_contradicts_only_a_rival_that_explains_less() {
+        let rival = |absent, gained| Counts { both: 900, telling: 700, winner: 5, rival: 5, absent, gained };
+        assert!(rival(200, 190).contradicted_of_telling() < 0.01);
+        assert!(rival(200, 100).contradicted_of_telling() > 0.2);
+        assert!(rival(200, 300).contradicted_of_telling() < 0.01);
     }
 }
