@@ -14,8 +14,10 @@ const TOLERANCE: f64 = 1e-4;
 const MIN_SPREAD: f64 = 1e-3;
 /// A plane of missing returns is farther from the sensor than this many distances of the farthest other point.
 const MIN_DEPTH: f64 = 1.5;
-/// A cloud of which a smaller share would be left keeps its points: a ball around the origin is a ball.
+/// A cloud of which a smaller share would be left keeps its points.
 const MIN_LEFT: f64 = 0.05;
+/// And so does one of which more points are at one distance or depth: a dome around the sensor, or a wall behind things.
+const MAX_AT_DISTANCE: f64 = 0.5;
 /// A place is that of missing returns if so many copies of it are there for each copy of another point; the second, if the sensor
 /// is not known: the vertices of a mesh are repeated, too.
 const MIN_COPIES: f64 = 5.0;
@@ -51,6 +53,10 @@ fn number_of(is_missing: &[bool]) -> usize {
 
 fn leaves_enough(is_missing: &[bool]) -> bool {
     (is_missing.len() - number_of(is_missing)) as f64 >= MIN_LEFT * is_missing.len() as f64
+}
+
+fn is_surface(count: usize, points: &[Point]) -> bool {
+    count as f64 > MAX_AT_DISTANCE * points.len() as f64
 }
 
 /// Points at one place are at one distance, too.
@@ -106,7 +112,7 @@ fn one_distance(
     frequent.iter().filter(can_be).find_map(|&distance| {
         let is_at = |point: &Point| (distance_of(point) - distance).abs() <= TOLERANCE * distance;
         let is_missing: Vec<bool> = points.iter().map(is_at).collect();
-        if !leaves_enough(&is_missing) {
+        if is_surface(number_of(&is_missing), points) {
             return None;
         }
         let shell: Vec<Vector> =
@@ -130,7 +136,8 @@ fn one_depth(points: &[Point], is_known: bool, min_count: usize) -> Option<(Vec<
         let is_at = |point: &Point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs();
         let at_depth = || points.iter().filter(|point| is_at(point));
         let first = at_depth().next();
-        if at_depth().count() < min_count || !is_known && at_depth().all(|point| Some(point) == first) {
+        let count = at_depth().count();
+        if count < min_count || is_surface(count, points) || !is_known && at_depth().all(|point| Some(point) == first) {
             return None;
         }
         let others = points.iter().filter(|point| !is_at(point));

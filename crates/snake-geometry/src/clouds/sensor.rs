@@ -4,13 +4,14 @@
 //! with the squared distance r from the sensor and with the angle between ray and normal. A model is sampled evenly instead,
 //! and merged or fused scans have the densities of several sensors. A place is the sensor's if it explains the densities much
 //! better than an even sampling does, and if what it leaves unexplained is noise, not regions that another sensor saw too. The
-//! frame's origin is taken where the densities lead to it; no other place is so probable beforehand.
+//! frame's origin is taken where the densities lead to it and, as that of a camera whose images were fused, where they do not
+//! tell and the cloud lies ahead of it, most of it in view.
 
 use std::collections::HashMap;
 use std::f64::consts::SQRT_2;
 use std::num::NonZeroUsize;
 
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, SymmetricEigen};
+use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
 use crate::{Neighbors, Point, Vector, eigen, vector};
@@ -43,27 +44,31 @@ const STARTS: usize = 5;
 const LATTICE_COST: f64 = 0.6;
 /// Number of steps of a search, at most.
 const MAX_STEPS: usize = 20;
-/// A sensor leaves at most this share of the cost that an even sampling has. Made scans leave up to 0.37, models 0.4 and more,
-/// merged scans 0.51 and more.
-const MAX_COST: f64 = 0.45;
+/// A sensor leaves at most this share unexplained: of the cost that an even sampling has, and with it of the points, which
+/// others hide. Made scans have up to 0.47, merged scans and models 0.53 and more.
+const MAX_UNEXPLAINED: f64 = 0.5;
 /// A place this near to the frame's origin is the origin. Unit: median distances of the points from there.
 const AT_ORIGIN: f64 = 0.15;
-/// What a sensor leaves is at most so many times the cost of the differences of neighbours: 0.9 to 1.45 in made scans, 1.4 and
-/// more in merged ones, whose parts were seen by one sensor or by two.
-const MAX_EXCESS: f64 = 1.5;
-/// Degree of the polynomials of the direction.
-const DEGREE: i32 = 2;
-/// Added to both costs: of a perfect lattice they are near 0.
+/// What a sensor leaves is at most so many times the cost of the differences of neighbours: merged scans, whose parts were seen
+/// by one sensor or by two, have 1.4 and more. To both is added this.
+const MAX_EXCESS: f64 = 1.4;
+const EXCESS_NOISE: f64 = 0.05;
+/// Added to the cost of a fit: that of a perfect lattice is near 0.
 const MIN_NOISE: f64 = 0.02;
 /// Neighbours of this rank among the densities share few points with each other.
 const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
 /// Side of a pixel for what is visible, as the tangent of an angle, for a sensor within the cloud.
 const PIXEL: f64 = 0.05;
+/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.9 and more,
+/// a model about its origin 0 to 0.1, and so has what several scanners saw around them.
+const MIN_AHEAD: f64 = 0.5;
+/// They are not far away either: the median point is at most so many median distances from there. They have 1.9 to 4.
+const MAX_AWAY: f64 = 4.5;
+/// And it sees more than this share of fused images, since it moved. They have 0.59 and more, merged scans from a corner of
+/// their room 0.52 and less.
+const MIN_FUSED: f64 = 0.56;
 /// No plane is nearer than the points at this quantile of nearness.
 const NEAREST: f64 = 0.95;
-/// A sensor sees more than this share. Sweeps have 0.7 and more, since far ground lies in few pixels; boxes seen from outside
-/// 0.51 and less.
-const MIN_VISIBLE: f64 = 0.7;
 
 /// The place of a cloud's sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -88,13 +93,24 @@ impl Sensor {
             return None;
         }
         let best = search(&densities, &cloud.points);
-        if best.cost + MIN_NOISE > MAX_COST * cost_of_even(&densities) || !leaves_noise(&densities, &best)? {
-            return None;
+        let unexplained = (best.cost + MIN_NOISE) / cost_of_even(&densities);
+        if unexplained > MAX_UNEXPLAINED {
+            return Self::before_fused(&cloud.points);
         }
         let distance = median(cloud.points.iter().map(Vector::norm).collect());
         let place = if best.place.norm() < AT_ORIGIN * distance { Vector::zeros() } else { best.place };
         let visible = visible_share(&cloud.points, &place);
-        (visible > MIN_VISIBLE).then(|| Self { position: place.into(), visible })
+        let is_sensor = unexplained + 1.0 - visible < MAX_UNEXPLAINED && leaves_noise(&densities, &best)?;
+        is_sensor.then(|| Self { position: place.into(), visible })
+    }
+
+    /// The frame's origin, if the fused images of a camera may have been taken there: their densities do not tell.
+    fn before_fused(points: &[Vector]) -> Option<Self> {
+        let ahead = points.iter().filter_map(|point| point.try_normalize(0.0)).sum::<Vector>() / points.len() as f64;
+        let (center, radius) = middle(points);
+        let visible = visible_share(points, &Vector::zeros());
+        let is_near = ahead.norm() > MIN_AHEAD && center.norm() < MAX_AWAY * radius;
+        (is_near && visible > MIN_FUSED).then_some(Self { position: [0.0; 3], visible })
     }
 
     /// A sensor whose position is known.
@@ -201,6 +217,12 @@ fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// The median of points, and their median distance from there.
+fn middle(points: &[Vector]) -> (Vector, f64) {
+    let center = Vector::from_fn(|axis, _| median(points.iter().map(|point| point[axis]).collect()));
+    (center, median(points.iter().map(|point| (point - center).norm()).collect()))
+}
+
 /// What it costs to say that the points are spread evenly over the surfaces.
 fn cost_of_even(densities: &[Density]) -> f64 {
     let usual = median(densities.iter().map(|density| density.log).collect());
@@ -265,8 +287,8 @@ impl Fit {
 /// The best place, searched from a grid around the cloud by some densities, then by all. A scanner turns about an axis of its
 /// surroundings: the vertical, mostly.
 fn search(densities: &[Density], points: &[Vector]) -> Fit {
-    let center = Vector::from_fn(|axis, _| median(points.iter().map(|point| point[axis]).collect()));
-    let reach = REACH * median(points.iter().map(|point| (point - center).norm()).collect());
+    let (center, radius) = middle(points);
+    let reach = REACH * radius;
     let all: Vec<&Density> = densities.iter().collect();
     let few: Vec<&Density> = all.iter().step_by(all.len().div_ceil(FEW_DENSITIES)).copied().collect();
     let offset = |at: i32| reach * f64::from(2 * (at % PLACES) - (PLACES - 1)) / f64::from(PLACES - 1);
@@ -293,12 +315,11 @@ fn leaves_noise(densities: &[Density], fit: &Fit) -> Option<bool> {
     let mut residuals: Vec<f64> = densities.iter().map(|density| fit.residual(density)).collect();
     let directions: Vec<_> = densities.iter().map(|density| smooth_functions(&(density.point - fit.place))).collect();
     for _ in 0..4 {
-        let size = directions[0].len();
-        let (mut squares, mut sums) = (DMatrix::identity(size, size) * 1e-3, DVector::zeros(size));
+        let (mut squares, mut sums) = (SMatrix::<f64, 10, 10>::identity() * 1e-3, SVector::<f64, 10>::zeros());
         for (row, residual) in directions.iter().zip(&residuals) {
             let weight = robust(*residual).1;
-            squares.ger(weight, row, row, 1.0);
-            sums.axpy(weight * *residual, row, 1.0);
+            squares += weight * row * row.transpose();
+            sums += weight * *residual * row;
         }
         let change = squares.cholesky()?.solve(&sums);
         residuals.iter_mut().zip(&directions).for_each(|(residual, row)| *residual -= change.dot(row));
@@ -306,15 +327,13 @@ fn leaves_noise(densities: &[Density], fit: &Fit) -> Option<bool> {
     let neighbor = |point: &Vector| near.nearest(point, APART).last().map_or(0, |(index, _)| *index);
     let differences = densities.iter().zip(&residuals);
     let differences = differences.map(|(density, residual)| (residual - residuals[neighbor(&density.point)]) / SQRT_2);
-    Some(mean_cost(residuals.iter().copied()) + MIN_NOISE < MAX_EXCESS * (mean_cost(differences) + MIN_NOISE))
+    Some(mean_cost(residuals.iter().copied()) + EXCESS_NOISE < MAX_EXCESS * (mean_cost(differences) + EXCESS_NOISE))
 }
 
-/// The monomials up to [`DEGREE`] of a direction: all its smooth functions.
-fn smooth_functions(direction: &Vector) -> DVector<f64> {
-    let ray = direction / direction.norm().max(f64::MIN_POSITIVE);
-    let powers = (0..=DEGREE).flat_map(|x| (0..=DEGREE - x).map(move |y| (x, y)));
-    let powers = powers.flat_map(|(x, y)| (0..=DEGREE - x - y).map(move |z| [x, y, z]));
-    DVector::from_vec(powers.map(|[x, y, z]| ray.x.powi(x) * ray.y.powi(y) * ray.z.powi(z)).collect())
+/// The monomials up to degree 2 of a direction: all its smooth functions.
+fn smooth_functions(direction: &Vector) -> SVector<f64, 10> {
+    let [x, y, z] = (direction / direction.norm().max(f64::MIN_POSITIVE)).into();
+    SVector::from([1.0, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
 }
 
 /// The share of the points that no other hides from a place, in pixels on the faces of a cube around it.
@@ -349,42 +368,26 @@ mod tests {
     use super::*;
 
     const EYES: [[f64; 3]; 2] = [[2.0, 1.5, 1.4], [4.5, 3.0, 1.2]];
+    const SITE: Vector = Vector::new(30.0, -20.0, 5.0);
 
-    /// What a scanner sees of a room of 6 x 4.5 x 2.6 m with three boxes, moved by a site's coordinates.
+    /// What a scanner sees of a room of 6 x 4.5 x 2.6 m, moved by a site's coordinates.
     fn scan(eye: [f64; 3]) -> Vec<Point> {
-        let boxes = [
-            [[0.3, 0.2, 0.0], [1.1, 0.9, 0.75]],
-            [[3.0, 3.4, 0.0], [4.4, 4.4, 1.9]],
-            [[5.3, 0.1, 0.0], [5.95, 1.3, 1.2]],
-        ];
-        let ray = |index: u32| {
+        let seen = |index: u32| {
             let (elevation, azimuth) = (f64::from(index / 300) * 0.02 - 1.0, f64::from(index % 300) * 0.020_944);
             let ray = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
-            let crossings = |[low, high]: [[f64; 3]; 2]| {
-                let ends = |axis: usize| [low, high].map(|corner| (corner[axis] - eye[axis]) / ray[axis]);
-                (0..3).map(ends).fold((f64::NEG_INFINITY, f64::INFINITY), |(near, far), [a, b]| {
-                    (near.max(a.min(b)), far.min(a.max(b)))
-                })
-            };
-            let walls = crossings([[0.0; 3], [6.0, 4.5, 2.6]]).1;
-            let hits = boxes.map(crossings).into_iter().filter(|(near, far)| *near > 0.0 && near <= far);
-            let range = hits.map(|(near, _)| near).fold(walls, f64::min);
-            [30.0, -20.0, 5.0]
-                .iter()
-                .zip(eye.iter().zip(ray))
-                .map(|(site, (eye, ray))| (site + eye + range * ray) as f32)
-                .collect::<Vec<f32>>()
-                .try_into()
-                .unwrap()
+            let wall =
+                |axis: usize| (if ray[axis] > 0.0 { [6.0, 4.5, 2.6][axis] } else { 0.0 } - eye[axis]) / ray[axis];
+            let range = (0..3).map(wall).fold(f64::INFINITY, f64::min);
+            (SITE + Vector::from(eye) + range * Vector::from(ray)).map(|v| v as f32).into()
         };
-        (0..300 * 100).map(ray).collect()
+        (0..300 * 100).map(seen).collect()
     }
 
     #[test]
     fn the_sensor_of_a_scan_is_found_in_any_frame_and_that_of_merged_scans_is_not() {
         for eye in EYES {
             let sensor = Sensor::find(&scan(eye)).unwrap();
-            let off = Vector::from(sensor.position) - Vector::from(eye) - Vector::new(30.0, -20.0, 5.0);
+            let off = Vector::from(sensor.position) - Vector::from(eye) - SITE;
             assert!(off.norm() < 0.15 && sensor.visible > 0.95, "{sensor:?}");
         }
         assert_eq!(Sensor::find(&EYES.map(scan).concat()), None);
@@ -403,10 +406,9 @@ mod tests {
             let ring = (1.0 - z * z).sqrt();
             [ring * angle.cos(), ring * angle.sin(), z]
         };
-        assert_eq!(Sensor::find(&(0..20_000).map(cube).collect::<Vec<Point>>()), None);
-        assert_eq!(Sensor::find(&(0..20_000).map(ball).collect::<Vec<Point>>()), None);
-        assert_eq!(Sensor::find(&[]), None);
-        assert_eq!(Sensor::find(&[[1.0; 3]; 500]), None);
-        assert_eq!(Sensor::find(&[[f32::NAN; 3]; 500]), None);
+        let [cube, ball]: [Vec<Point>; 2] = [(0..20_000).map(cube).collect(), (0..20_000).map(ball).collect()];
+        for points in [&cube[..], &ball, &[], &[[1.0; 3]; 500], &[[f32::NAN; 3]; 500]] {
+            assert_eq!(Sensor::find(points), None);
+        }
     }
 }

@@ -134,8 +134,7 @@ pub(super) struct UsedPoints<'a> {
     num_skipped: usize,
     outliers: Option<Outliers>,
     missing: Vec<String>,
-    /// The sensor as given, or as the points tell.
-    known: Option<Viewpoint>,
+    viewpoint: Option<Viewpoint>,
 }
 
 impl<'a> UsedPoints<'a> {
@@ -145,11 +144,17 @@ impl<'a> UsedPoints<'a> {
         viewpoint: impl Fn(usize) -> Option<[f64; 3]> + Sync,
     ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
         let clean = |(index, points): (usize, &&'a [Point])| {
-            let known = Viewpoint::known(points, viewpoint(index));
-            let position = known.map(|viewpoint| viewpoint.sensor.position);
+            let viewpoint = Viewpoint::new(points, viewpoint(index));
+            let position = viewpoint.map(|viewpoint| viewpoint.sensor.position);
             let used = FinitePoints::clean("points", points, position).map_err(|error| (index, error.into()))?;
             let (outliers, missing) = (used.outliers(), used.missing().to_vec());
-            Ok(Self { num_skipped: points.len() - used.points.len(), points: used.points, outliers, missing, known })
+            Ok(Self {
+                num_skipped: points.len() - used.points.len(),
+                points: used.points,
+                outliers,
+                missing,
+                viewpoint,
+            })
         };
         clouds.par_iter().enumerate().map(clean).collect()
     }
@@ -170,9 +175,7 @@ impl<'a> UsedPoints<'a> {
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<PreparedCloud> {
-        let viewpoint =
-            self.known.or_else(|| Viewpoint::at_origin(&self.points, &voxels.points, lengths.inlier_distance));
-        let viewpoint = viewpoint.filter(|_| options.use_viewpoints);
+        let viewpoint = self.viewpoint.filter(|_| options.use_viewpoints);
         let orientation =
             viewpoint.map_or(Orientation::Unsigned, |viewpoint| Orientation::Viewpoint(viewpoint.place()));
         let mut voxels = VoxelCloud::from_voxels(&self.points, voxels, lengths, orientation, control)?;
