@@ -43,6 +43,10 @@ const MIN_PLANAR: f64 = 0.5;
 /// Two patches coincide if their distance is below this many of their joint thicknesses. Unit: standard deviations.
 /// Half and twice change no outcome.
 const COINCIDING: f64 = 2.0;
+/// They lie apart beyond this many. Unit: standard deviations. With 2 real rooms, which drift, have as many as slid slopes.
+const APART: f64 = 4.0;
+/// And beyond this: surfaces without noise have no thickness. Unit: greatest distances.
+const MIN_APART: f64 = 0.05;
 /// A surface farther from a place does not tell whether the place lies on it. Unit: inlier distances. Half and twice
 /// change no outcome.
 pub(crate) const NEAR: f64 = 0.5;
@@ -193,21 +197,6 @@ impl FineCloud {
             _ => (distance > radius).then_some(false),
         }
     }
-
-    /// The point nearest to a place, if it is closer than `max_distance` and on a planar patch with
-    /// about this normal whose plane passes the place within `tolerance`.
-    pub(crate) fn patch_at(
-        &self,
-        place: &Vector,
-        normal: &Vector,
-        max_distance: f64,
-        tolerance: f64,
-    ) -> Option<Vector> {
-        let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
-        let point = self.cloud.points[nearest];
-        let is_on = distance < max_distance && normal.dot(&(point - place)).abs() < tolerance;
-        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > AGREEING_COSINE).then_some(point)
-    }
 }
 
 /// Planar patches that both clouds have.
@@ -217,6 +206,8 @@ pub(crate) struct Overlap {
     pub(crate) patches: Vec<PlanePair>,
     /// The share of the patches that coincide within their thickness.
     coinciding: f64,
+    /// The share of the patches that lie apart for their thickness.
+    apart: f64,
     /// The share of the source's points on the target that lie on patches of both.
     planar: f64,
 }
@@ -239,22 +230,29 @@ pub(crate) fn overlap(
         let cosine = a.dot(&b);
         let normal = (if cosine < 0.0 { b - a } else { a + b }).normalize();
         let distance = normal.dot(&(target.cloud.points[nearest] - point));
-        let coincides = distance.abs() < COINCIDING * source_patch.thickness.hypot(target_patch.thickness);
-        (cosine.abs() > AGREEING_COSINE).then_some((PlanePair { point, normal, distance }, coincides))
+        let thickness = source_patch.thickness.hypot(target_patch.thickness);
+        let coincides = distance.abs() < COINCIDING * thickness;
+        let is_apart = distance.abs() > (APART * thickness).max(MIN_APART * max_distance);
+        (cosine.abs() > AGREEING_COSINE).then_some((PlanePair { point, normal, distance }, [coincides, is_apart]))
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
     let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
-    let pairs: Vec<Option<(PlanePair, bool)>> = indices.filter_map(near).map(pair).collect();
+    let pairs: Vec<Option<(PlanePair, [bool; 2])>> = indices.filter_map(near).map(pair).collect();
     let count = pairs.len().max(1) as f64;
-    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) = pairs.into_iter().flatten().unzip();
-    let coinciding = coincide.iter().filter(|coincides| **coincides).count() as f64 / patches.len().max(1) as f64;
-    Overlap { coinciding, planar: patches.len() as f64 / count, patches }
+    let (patches, told): (Vec<PlanePair>, Vec<[bool; 2]>) = pairs.into_iter().flatten().unzip();
+    let share = |at: usize| told.iter().filter(|told| told[at]).count() as f64 / patches.len().max(1) as f64;
+    Overlap { coinciding: share(0), apart: share(1), planar: patches.len() as f64 / count, patches }
 }
 
 impl Overlap {
     /// Whether planar patches make up enough of the overlap to tell what it leaves open.
     pub(crate) fn is_planar(&self) -> bool {
         self.planar >= MIN_PLANAR
+    }
+
+    /// The share of the patches that lie apart for their thickness; 0 of few.
+    pub(crate) fn apart(&self) -> f64 {
+        if self.patches.len() < MIN_PAIRS { 0.0 } else { self.apart }
     }
 
     /// The share of the patches that coincide; `None` where the points are too coarse to show it.

@@ -1,13 +1,13 @@
 //! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
 //! which one of the clouds looks like itself, after a shift under which details repeat, and after a reflection.
 
-use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES};
+use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES, REPEATED_FITNESS};
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
 use super::alike::{self_motions, shared_support};
 use super::open_motions::axis_name;
-use super::repeats::axes;
+use super::repeats::{axes, slides};
 use super::shifts::{Shift, shifts};
 use super::turns::{after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
@@ -31,12 +31,20 @@ const MIN_SELF_SUPPORT: f64 = 0.06;
 /// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
 /// distances. An object in a map has 7 to 11.
 const MIN_UNSIGNED_MOTION: f64 = 12.0;
-/// A rival contradicts at most this of the places that tell the two apart: usually; with sensors at one place, where
-/// one pattern of rays coincides point by point; and, of all places, after a shift there or one with which details fit
-/// better. Unit: shares of the places that the winner explains and that tell. Stairs, ramps and stairwells have up to
-/// 0.05, right answers in real rooms 0.09 and more; at one place traffic up to 0.25, rooms at rest 0.33 and more;
-/// pillars up to 0.38 of all places.
-const SELF_CONTRADICTED: [f64; 3] = [0.08, 0.28, 0.43];
+/// A rival contradicts at most this. Unit: share of the places that the winner explains and that tell the two apart. Stairs,
+/// ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more.
+const MAX_CONTRADICTED: f64 = 0.08;
+/// With sensors at one place, where one pattern of rays coincides point by point: traffic has up to 0.25, rooms at rest 0.33
+/// and more.
+const STANDING_CONTRADICTED: f64 = 0.28;
+/// Of all places, after a shift there or one with which details fit better: pillars have up to 0.38.
+const SHIFT_CONTRADICTED: f64 = 0.43;
+/// After a slide: tiers of a stadium have up to 0.25, streets 0.31 and more.
+const SLIDE_CONTRADICTED: f64 = 0.27;
+/// Part of the way of a slide fewer places tell that it fits. Unit: share of those at its end; shares of the slide. Half and
+/// twice change no outcome.
+const SLIDE_VALLEY: f64 = 0.6;
+const SLIDE_PARTS: [f64; 3] = [0.35, 0.5, 0.65];
 /// Every so many of them tell where exactly a shift fits. Unit: places. Set for time.
 const SHIFT_THINNING: usize = 6;
 /// Number of steps to either side in which a shift is made exact. Half and twice change no outcome.
@@ -64,6 +72,8 @@ const MIN_DEVIATIONS: f64 = 3.0;
 enum Motion {
     Mirror,
     Shift(Shift),
+    /// A slide under which the overlap looks alike.
+    Slide(Vector),
     /// A turn, or a motion under which one of the clouds looks like itself.
     Alike,
 }
@@ -131,19 +141,24 @@ impl Rival {
         matches!(self.motion, Motion::Mirror)
     }
 
-    /// Whether the rival contradicts little of what tells it from the winner; a mirror image must explain
-    /// more, whatever it contradicts. What the winner alone explains does not count beyond that: clouds of one pattern of
-    /// rays coincide point by point wherever they are a period apart.
-    pub(super) fn is_equal(&self) -> bool {
-        let [usual, at_one_place, shift] = SELF_CONTRADICTED;
+    /// What must be small for a rival to be equal, and its limit. A mirror image must explain more, whatever it contradicts.
+    /// What the winner alone explains does not count beyond that: clouds of one pattern of rays coincide point by point
+    /// wherever they are a period apart.
+    fn limit(&self) -> (f64, f64) {
+        let (of_all, of_telling) = (self.counts.contradicted(), self.counts.contradicted_of_telling());
         match self.motion {
-            Motion::Mirror => self.counts.lead() <= -MIRROR_LEAD,
-            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
-                self.counts.contradicted() <= shift
-            }
-            _ if self.is_standing => self.counts.contradicted_of_telling() <= at_one_place,
-            _ => self.counts.contradicted_of_telling() <= usual,
+            Motion::Mirror => (self.counts.lead(), -MIRROR_LEAD),
+            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => (of_all, SHIFT_CONTRADICTED),
+            Motion::Slide(_) => (of_telling, SLIDE_CONTRADICTED),
+            _ if self.is_standing => (of_telling, STANDING_CONTRADICTED),
+            _ => (of_telling, MAX_CONTRADICTED),
         }
+    }
+
+    /// Whether the rival contradicts little of what tells it from the winner.
+    pub(super) fn is_equal(&self) -> bool {
+        let (measure, limit) = self.limit();
+        measure <= limit
     }
 
     /// Of the places that the winner explains, the share that this shift of it, or motion under which
@@ -151,7 +166,7 @@ impl Rival {
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / self.counts.explained(),
-            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
+            Motion::Alike | Motion::Slide(_) => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Mirror => 0.0,
         }
     }
@@ -174,7 +189,7 @@ impl Rival {
                     self.moved
                 )
             }
-            Motion::Shift(Shift { by, .. }) => repeat_note("target", &by),
+            Motion::Shift(Shift { by, .. }) | Motion::Slide(by) => repeat_note("target", &by),
         }
     }
 }
@@ -190,12 +205,19 @@ fn repeat_note(what: &str, by: &Vector) -> String {
 
 /// The turns, motions, shifts and reflections of the winner under which the clouds fit, with what tells them
 /// from the winner.
-pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
+pub(super) fn rivals(
+    pair: &Pair,
+    winner: &IsometryMatrix3<f64>,
+    fitness: f64,
+    is_standing: bool,
+) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
     let patches = overlap(fine, winner, patches::NEAR * distance).patches;
-    let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
-    let frame = [first, second, third];
+    let frame = match axes(&patches) {
+        [Some(first), Some(second), Some(third)] => [first, second, third],
+        _ => [Vector::x(), Vector::y(), Vector::z()],
+    };
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
     let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
     let tried: Vec<_> = match pair.criteria().gravity {
@@ -210,13 +232,15 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).collect();
     let fit = |(motion, guess)| fitting.fitted(motion, guess);
     let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
-    if fitted.is_empty() && by_shift.is_empty() {
+    let by_slide = if fitness > REPEATED_FITNESS { slides(&patches, &frame, distance) } else { Vec::new() };
+    if fitted.is_empty() && by_shift.is_empty() && by_slide.is_empty() {
         return Ok(Vec::new());
     }
     let scene = Scene::new(fitting, fine, &places);
     let moved = fitted.into_par_iter().map(|(motion, rough)| scene.moved(motion, rough)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
-    Ok(moved.into_iter().chain(shifted).flatten().collect())
+    let slid = by_slide.into_par_iter().map(|slide| scene.slid(slide)).collect::<Result<Vec<_>>>()?;
+    Ok(moved.into_iter().chain(slid).chain(shifted).flatten().collect())
 }
 
 /// The pair with what shows whether another transform fits the surfaces.
@@ -317,6 +341,15 @@ impl<'a, 'b> Scene<'a, 'b> {
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
     }
 
+    /// The rival near a slide; `None` if the surfaces fit part of the way too, as along a wall.
+    fn slid(&self, slide: Vector) -> Result<Option<Rival>> {
+        let at = |part: f64| Translation3::from(part * slide) * self.fitting.winner;
+        let Some(rival) = self.rival(Motion::Slide(slide), at(1.0))? else { return Ok(None) };
+        let least = SLIDE_VALLEY * rival.counts.telling as f64;
+        let is_worse = |part: f64| (self.compare(&at(part)).telling as f64) < least;
+        Ok(Some(rival).filter(|rival| rival.is_equal() && SLIDE_PARTS.into_iter().any(is_worse)))
+    }
+
     /// The rival near a shift; `None` if it does not fit.
     fn shifted(&self, Shift { by: shift, is_better }: Shift) -> Result<Option<Rival>> {
         let distance = self.fitting.pair.criteria().inlier_distance;
@@ -332,12 +365,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             return Ok(None);
         }
         let unit = 1.5 * DETAIL * distance / shift.norm() / f64::from(SHIFT_STEPS);
-        let parts = (-SHIFT_STEPS..=SHIFT_STEPS).map(|at| 1.0 + unit * f64::from(at));
-        let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
-        let best = tries.iter().map(|(fit, _)| *fit).max().unwrap_or_default();
-        // Of equals the middle one.
-        let equal: Vec<f64> = tries.iter().filter(|(fit, _)| *fit == best).map(|(_, part)| *part).collect();
-        let shift = equal[equal.len() / 2] * shift;
+        let shift = best_part(fit, unit) * shift;
         let rough = Translation3::from(shift) * self.fitting.winner;
         if self.compare(&rough).contradicted() > HOPELESS {
             return Ok(None);
@@ -407,6 +435,15 @@ impl<'a, 'b> Scene<'a, 'b> {
             .lies_on(place, self.fitting.pair.criteria().inlier_distance)
             .or_else(|| is_free().then_some(false))
     }
+}
+
+/// The part of a shift, about 1, that fits best; of equals the middle one.
+fn best_part(fit: impl Fn(f64) -> i32, unit: f64) -> f64 {
+    let parts = (-SHIFT_STEPS..=SHIFT_STEPS).map(|at| 1.0 + unit * f64::from(at));
+    let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
+    let best = tries.iter().map(|(fit, _)| *fit).max();
+    let equal: Vec<f64> = tries.iter().filter(|(fit, _)| Some(*fit) == best).map(|(_, part)| *part).collect();
+    equal[equal.len() / 2]
 }
 
 #[cfg(test)]
