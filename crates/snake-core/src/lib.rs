@@ -57,7 +57,7 @@ pub use builtin::Builtin;
 #[cfg(feature = "builtin-models")]
 pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
-pub use control::{CancelFlag, Control, Counter, Progress, Stage, check_num_threads, parallel_map};
+pub use control::{CancelFlag, Control, Counter, ProcessPool, Progress, Stage, max_num_threads, parallel_map};
 pub use detect::{Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank};
 pub use error::{Error, Result};
 pub use field::{Field, Grid};
