@@ -105,8 +105,8 @@ fn cells(points: &[[f64; 3]]) -> Option<(Vec<[f64; 3]>, f64)> {
     Some((keyed.chunk_by(|a, b| a.0 == b.0).map(mean).collect(), side))
 }
 
-/// The smallest and middle eigenvalue of the covariance of the cells within a radius of a cell, as shares of the sum; over
-/// the cells, a quantile of each. `None` where all cells stand alone.
+/// Of the cells within a radius of a cell, the covariance's smallest and middle eigenvalue as shares of the sum; over the
+/// cells, a quantile of each. `None` where all cells stand alone.
 fn surroundings(cells: &[[f64; 3]], radius: f64, at: [f64; 2]) -> Option<[f64; 2]> {
     let shares = |index: usize| {
         let near: Vec<_> = cells.iter().filter(|c| squared_distance(c, &cells[index]) <= radius * radius).collect();
