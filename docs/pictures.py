@@ -100,7 +100,7 @@ def answers(source, target, hypotheses=1, map_voxel=None, axes=(0, 1)):
     else:
         result = snake_rs.register(source, target, hypotheses=hypotheses)
     width, colours = WIDTH // max(len(result.hypotheses), 2), np.repeat([GREY, RED], [len(target), len(source)], axis=0)
-    for number, t in enumerate(result.hypotheses):
+    for number, t in enumerate(hypothesis.t_target_source for hypothesis in result.hypotheses):
         both = np.concatenate([target, source @ t[:3, :3].T + t[:3, 3]])[:, axes]
         yield drawn(both, colours, "rival" if number else f"confidence {result.verdict.confidence:.2f}", width)
 

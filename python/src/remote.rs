@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_io::{Copc, LocalFile, POINT_EXTENSIONS, Ranges};
 
-use crate::error::file_error;
+use crate::error::py_error;
 
 /// The files of a cloud.
 pub enum Inputs {
@@ -81,7 +81,7 @@ pub fn open_all(py: Python<'_>, files: &[Py<PyAny>]) -> PyResult<Option<Vec<Copc
             Ok(path) => Arc::new(LocalFile::new(&path)?),
             Err(_) => Arc::new(RemoteFile::new(file.bind(py))?),
         };
-        py.detach(|| Copc::open(source)).map_err(file_error)
+        py.detach(|| Copc::open(source)).map_err(py_error)
     };
     files.iter().map(open).collect()
 }

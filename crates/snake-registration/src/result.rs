@@ -2,8 +2,25 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_geometry::{Point, RigidTransform};
+use snake_geometry::{Point, Record, RecordInfo, RecordKind, RecordValue, RigidTransform, record};
 
+use crate::many::{Alignment, Contradiction, Edge, Pose};
+
+/// The tables of all results, for other languages.
+pub const RECORDS: [&RecordInfo; 10] = [
+    Registration::INFO,
+    Verdict::INFO,
+    Fit::INFO,
+    Matches::INFO,
+    CloudReport::INFO,
+    Hypothesis::INFO,
+    Alignment::INFO,
+    Pose::INFO,
+    Edge::INFO,
+    Contradiction::INFO,
+];
+
+record! {
 /// The result of [`register`](crate::register()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -11,9 +28,8 @@ pub struct Registration {
     /// Maps source points to the target frame: `p_target = R p_source + t`, or
     /// `R (scale p_source) + t` with `scale`.
     pub t_target_source: RigidTransform,
-    /// Factor by which source points are multiplied before `t_target_source`: 1, and not in JSON,
-    /// unless `estimate_scale` is set.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    /// Factor by which source points are multiplied before `t_target_source`: 1 unless
+    /// `estimate_scale` is set.
     pub scale: f64,
     /// Whether the transform can be relied on, and why or why not.
     pub verdict: Verdict,
@@ -29,15 +45,9 @@ pub struct Registration {
     /// Run time in seconds.
     pub seconds: f64,
 }
-
-fn one() -> f64 {
-    1.0
 }
 
-fn is_one(scale: &f64) -> bool {
-    *scale == 1.0
-}
-
+record! {
 /// Whether a transform can be relied on, with the evidence beside [`Fit`] and [`Matches`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -73,7 +83,9 @@ pub struct Verdict {
     /// through to a farther surface; 0 if the sensors are not known.
     pub free_space_violation: f64,
 }
+}
 
+record! {
 /// How well two clouds fit under a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -98,7 +110,9 @@ pub struct Fit {
     /// the distance to the tangent plane.
     pub information: [[f64; 6]; 6],
 }
+}
 
+record! {
 /// The matches of keypoints, and how many agree with a transform.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -123,7 +137,9 @@ pub struct Matches {
     #[serde(skip)]
     pub pairs: Vec<[Point; 2]>,
 }
+}
 
+record! {
 /// What was used of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -134,7 +150,9 @@ pub struct CloudReport {
     /// missing returns.
     pub num_skipped: usize,
 }
+}
 
+record! {
 /// A transform with the figures that ranked it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -150,6 +168,7 @@ pub struct Hypothesis {
     /// sharp.
     pub free_space_violation: f64,
 }
+}
 
 /// The viewpoint that gave a cloud's normals their signs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -161,6 +180,12 @@ pub enum ViewpointUsed {
     Origin,
     /// None: normals have no sign.
     None,
+}
+
+impl RecordValue for ViewpointUsed {
+    fn kind() -> RecordKind {
+        RecordKind::Text
+    }
 }
 
 impl ViewpointUsed {

@@ -147,7 +147,7 @@ impl<'a> UsedPoints<'a> {
     ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
         let clean = |(index, points): (usize, &&'a [Point])| {
             let sensor = Some(viewpoint(index).unwrap_or_default());
-            let used = FinitePoints::clean("points", points, sensor).map_err(|error| (index, error.into()))?;
+            let used = FinitePoints::clean("points", points, sensor).map_err(|error| (index, error))?;
             let (outliers, missing) = (used.outliers(), used.missing().to_vec());
             Ok(Self { num_skipped: points.len() - used.points.len(), points: used.points, outliers, missing })
         };
