@@ -98,12 +98,12 @@ fn detect(
     Ok(Bound::new(py, keypoints)?.into_any().unbind())
 }
 
-/// What `detect` chooses between the models of objects and of scenes by: eight numbers of a cloud `(N, 3)`, or None if it is too
+/// What `detect` chooses between the models of objects and of scenes by: numbers of a cloud `(N, 3)`, or None if it is too
 /// small. `snake_training.cloud_kind` fits the weights of them.
 #[pyfunction]
 fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
     let (cloud, _) = arrays::cloud("points", points)?;
-    Ok(snake_core::scene_signs(&cloud.points).map(Vec::from))
+    Ok(snake_core::scene_signs(&cloud.points, cloud.origin.map(|v| -v)).map(Vec::from))
 }
 
 /// The keypoints of several clouds.

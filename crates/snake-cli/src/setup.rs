@@ -20,10 +20,9 @@ use crate::{model, terminal};
 #[derive(Args)]
 pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
-    /// better and slower) and scenes (for rooms, LiDAR sweeps and streets). Any
-    /// other NAME is a file NAME.safetensors in SNAKE_MODELS, beside the program or in the user's data folder [default:
-    /// scenes
-    /// for a cloud that looks like a room, a sweep or terrain, else compact].
+    /// better and slower) and scenes (for rooms, LiDAR sweeps and streets). Any other NAME is a file NAME.safetensors in
+    /// SNAKE_MODELS or beside the program [default: scenes for a cloud that looks like a room, a sweep or terrain, else
+    /// compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
     /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
