@@ -4,7 +4,6 @@ import json
 import os
 import pickle
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,45 +118,6 @@ def cluster():
     ray.shutdown()
 
 
-@pytest.mark.nightly
-def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
-    from snake_rs.ray import DetectClouds
-
-    def cloud(seed):
-        """The surface of a box."""
-        rng = np.random.default_rng(seed)
-        points = rng.uniform(-1, 1, (600, 3))
-        points[np.arange(600), rng.integers(0, 3, 600)] = rng.choice([-1, 1], 600)
-        return (points * [1, 2, 0.3 + rng.uniform()]).astype(np.float32)
-
-    options = {"query_resolution": 24, "saliency_threshold": 0.1}
-    rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(40)]
-    clouds = cluster.data.from_items([*rows, {"name": 40, "points": np.zeros(4, np.float32)}])
-    steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 4}
-    found = clouds.map_batches(DetectClouds, fn_constructor_kwargs={"model": "compact", **options}, **steps).take_all()
-    assert sorted(row["name"] for row in found) == list(range(41))
-    for row in found:
-        if row["name"] == 40:
-            assert "points" in row["error"] and row["keypoints"] is None
-            continue
-        here = snake_rs.detect(cloud(row["name"]), snake_rs.Model.builtin(), **options)
-        assert row["error"] is None and len(here) > 0
-        for name, column in here.to_dict().items():
-            assert np.array_equal(np.array([k[name] for k in row["keypoints"]], column.dtype), column)
-
-    path = tmp_path / "cloud.npy"
-    np.save(path, cloud(0))
-    missing = tmp_path / "missing.npy"
-    paths = [str(path), path.as_uri(), str(missing), missing.as_uri()]
-    rows = cluster.data.from_items([{"path": path} for path in paths])
-    found = rows.map_batches(DetectClouds, fn_constructor_kwargs=options, **steps).take_all()
-    by_path = {row["path"]: row for row in found}
-    for there in paths[:2]:
-        assert len(by_path[there]["keypoints"]) == len(snake_rs.detect(path, **options))
-    for away in paths[2:]:
-        assert "FileNotFoundError" in by_path[away]["error"]
-
-
 def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     from snake_rs.ray import RegisterPairs
 
@@ -209,18 +169,6 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
     monkeypatch.undo()
     assert module.keypoints_of_tiles(pickle.loads(pickle.dumps(tiles))).equals(table)
     assert times() == first
-
-
-@pytest.mark.nightly
-def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
-    from snake_rs.ray import keypoints_of_tiles
-
-    path = Path(__file__).parent / "data/tiles/city.copc.laz"
-    tiles = snake_rs.tiles(path, tile=20, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
-    table = keypoints_of_tiles(tiles)
-    here = snake_rs.detect(path, model="scenes", **WHOLE)
-    assert len(here) > 50
-    assert_equal({name: table[name].to_numpy() for name in table.column_names}, here)
 
 
 def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):

@@ -227,18 +227,6 @@ pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option
     Some(shown)
 }
 
-/// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
-#[cfg(target_os = "linux")]
-#[test]
-fn a_long_call_shows_the_remaining_time() {
-    let folder = tempfile::tempdir().unwrap();
-    let cloud = sample();
-    for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o page.html")] {
-        let options = "--rotations 8 --set refine_steps=120 --set query_band=0 --set occupancy_threshold=0";
-        shown_on_terminal(&format!("{command} {options}"), folder.path(), "refinement (ETA ");
-    }
-}
-
 /// A program that is killed when the test is done with it, however the test ends.
 struct Running(std::process::Child);
 
