@@ -10,7 +10,7 @@
 use nalgebra::Matrix3;
 
 use super::samples::{drawn, quantile};
-use snake_geometry::{Neighbors, Point, Vector, vector};
+use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 
 /// The number of signs.
 pub const NUM_SIGNS: usize = 8;
@@ -38,8 +38,8 @@ const SAMPLES: usize = 150;
 /// of the number of cells, the nearest and the farthest distance by direction (their 0.9 quantiles), and the share of pairs
 /// of cells within 0.25.
 pub fn scene_signs(points: &[Point]) -> Option<[f64; NUM_SIGNS]> {
-    let drawn: Vec<[f64; 3]> = drawn(points, POINTS).map(|point| point.map(f64::from)).collect();
-    let (cells, _) = cells(&laid_on_planes(drawn)?)?;
+    let drawn: Vec<Point> = drawn(points, POINTS).collect();
+    let (cells, _) = cells(&laid_on_planes(&drawn)?)?;
     let number = cells.len() as f64;
     let mean: [f64; 3] = std::array::from_fn(|axis| cells.iter().map(|cell| cell[axis]).sum::<f64>() / number);
     let mut cells: Vec<[f64; 3]> =
@@ -68,16 +68,17 @@ pub fn scene_signs(points: &[Point]) -> Option<[f64; NUM_SIGNS]> {
 }
 
 /// The mean of the points in each cell, moved onto the plane of the points about it.
-fn laid_on_planes(points: Vec<[f64; 3]>) -> Option<Vec<[f64; 3]>> {
-    let (mut cells, side) = cells(&points)?;
-    let near = Neighbors::new(points.into_iter().map(vector).collect()).ok()?;
+fn laid_on_planes(points: &[Point]) -> Option<Vec<[f64; 3]>> {
+    let vectors: Vec<[f64; 3]> = points.iter().map(|point| point.map(f64::from)).collect();
+    let (mut cells, side) = cells(&vectors)?;
+    let near = RadiusCells::new(points, (PLANE_RADIUS * side) as f32).ok()?;
+    let mut about = Vec::new();
     for cell in &mut cells {
-        let point = vector(*cell);
-        let about = near.within(&point, PLANE_RADIUS * side);
-        if about.len() >= MIN_PLANE_POINTS
-            && let Some(normal) = near.normal(&about)
-        {
-            let mean = about.iter().map(|&index| near.points[index]).sum::<Vector>() / about.len() as f64;
+        about.clear();
+        near.within(&cell.map(|v| v as f32), near.radius(), |index| about.push(vector(points[index])));
+        if about.len() >= MIN_PLANE_POINTS {
+            let (point, mean) = (vector(*cell), about.iter().sum::<Vector>() / about.len() as f64);
+            let (_, normal) = eigen(about.iter().map(|p| (p - mean) * (p - mean).transpose()).sum());
             *cell = (point - normal * normal.dot(&(point - mean))).into();
         }
     }

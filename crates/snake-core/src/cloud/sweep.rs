@@ -25,10 +25,10 @@ pub(super) fn is_sweep(points: &[Point]) -> bool {
         let mut values: Vec<f32> = measured.iter().map(|point| point[axis]).collect();
         *values.select_nth_unstable_by(measured.len() / 2, f32::total_cmp).1
     });
-    let reaches: Vec<f64> = measured.iter().map(|point| distance(point, &center)).collect();
+    let reaches: Vec<f64> = measured.iter().map(|point| squared_distance(point, &center).sqrt()).collect();
     let nearest = |(i, point): (usize, &Point)| {
-        let others = measured.iter().enumerate().filter(|(j, _)| i != *j).map(|(_, other)| distance(point, other));
-        others.fold(f64::INFINITY, f64::min)
+        let others = measured[..i].iter().chain(&measured[i + 1..]);
+        others.map(|other| squared_distance(point, other)).fold(f64::INFINITY, f64::min).sqrt()
     };
     let spacings: Vec<f64> = measured.iter().enumerate().map(nearest).collect();
     let is_more = |values: &[f64], share: f64, times: f64| {
@@ -37,8 +37,8 @@ pub(super) fn is_sweep(points: &[Point]) -> bool {
     is_more(&reaches, 0.98, FAR) && is_more(&spacings, 0.95, UNEVEN)
 }
 
-fn distance(a: &Point, b: &Point) -> f64 {
-    (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+fn squared_distance(a: &Point, b: &Point) -> f64 {
+    (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum()
 }
 
 #[cfg(test)]
