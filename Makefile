@@ -141,7 +141,7 @@ models/paper.safetensors: $(sort $(wildcard models/paper.safetensors.?))  ## the
 release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
 	$(PYTHON) tools/release_model.py $(NAME)
 
-results: module  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES="FOLDER .." (or one of them), LIMIT=NUMBER of objects; resumable
+results: module  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES=FOLDER (or one of them), LIMIT=NUMBER of objects; resumable
 	$(PYTHON) docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(BODIES),--bodies $(BODIES)) $(if $(SURFACES),--surfaces $(SURFACES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))
 
 pictures: module  ## every picture of the pages: make pictures DATA=FOLDER (objects/ and scenes/); the page needs Chromium

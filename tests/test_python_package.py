@@ -33,7 +33,8 @@ def test_the_stub_matches_the_module():
 def test_everything_public_is_documented():
     classes = (snake_rs.Model, snake_rs.Field, snake_rs.Keypoint, snake_rs.Keypoints, snake_rs.Mesh)
     classes += (snake_rs.Registration, snake_rs.Verdict, snake_rs.Fit, snake_rs.Matches, snake_rs.CloudReport)
-    classes += (snake_rs.FrameDetector, snake_rs.PreparedMap, snake_rs.Alignment, snake_rs.AlignmentEdge, snake_rs.View)
+    classes += (snake_rs.FrameDetector, snake_rs.PreparedMap, snake_rs.Alignment, snake_rs.Edge, snake_rs.View)
+    classes += (snake_rs.Hypothesis, snake_rs.Pose, snake_rs.Contradiction)
     classes += (snake_rs.Tiles, snake_rs.DetectedTiles, snake_rs.Recording, snake_rs.RecordedCloud)
     functions = (snake_rs.detect, snake_rs.register, snake_rs.estimate_normals, snake_rs.fpfh, snake_rs.read_points)
     functions += (snake_rs.align, snake_rs.get_num_threads, snake_rs.set_num_threads, snake_rs.view, snake_rs.tiles)

@@ -1,7 +1,7 @@
 """Takes a model that a recipe made into the repository: `python tools/release_model.py NAME`, or `make release-model NAME=compact`.
 
-Copies runs/NAME/NAME.safetensors to where it is released, a large file in parts, writes its digest into the recipe, and renews the golden files that
-depend on its weights. The tables and pictures need folders that are not here: at the end the commands that renew them are printed.
+Copies runs/NAME/NAME.safetensors to where it is released, a large file in parts, writes its digest into the recipe, and renews the golden file that
+depends on its weights. The tables and pictures need folders that are not here: at the end the commands that renew them are printed.
 """
 
 import argparse
@@ -9,20 +9,15 @@ import json
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT_IN = "compact", "scenes"
 PART = 4_900_000  # bytes: a larger file lies here in parts
-# Files that a built-in model's weights decide.
-GOLDEN = {
-    "compact": [[sys.executable, "tests/data/compact_fields.py"]],
-    "scenes": [],
-}
+# The file that a built-in model's weights decide.
 DEFAULT_PATH = ["cargo", "test", "--release", "--bin", "snake-cli", "--test", "cli", "default_path"]
 LEFT = """Left to do, with folders of your own:
-  make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES="FOLDER .."    # docs/results.md
+  make results OBJECTS=FOLDER LANDMARKS=FOLDER SCENES=FOLDER    # docs/results.md
   the commands of docs/gallery.md, and a look at the pictures
   the card in models/README.md and the rows of README.md"""
 
@@ -65,8 +60,6 @@ def main():
     recipe.write_text(text.replace(output, f'{output}digest = "{digest}"\n', 1))
     print(f"{released}: {digest}")
     if arguments.name in BUILT_IN:
-        for command in GOLDEN[arguments.name]:
-            subprocess.run(command, check=True, cwd=ROOT)
         subprocess.run(DEFAULT_PATH, check=True, cwd=ROOT, env=os.environ | {"SNAKE_WRITE_GOLDEN": "1"})
     print(LEFT)
 

@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias, TypedDict, final, overload, type_check_only
+from typing import Any, Final, Literal, Protocol, TypeAlias, TypedDict, final, overload, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,17 +12,20 @@ from typing_extensions import Self, Unpack
 
 __all__ = [
     "Alignment",
-    "AlignmentEdge",
     "CloudReport",
+    "Contradiction",
     "DetectedTiles",
+    "Edge",
     "Field",
     "Fit",
     "FrameDetector",
+    "Hypothesis",
     "Keypoint",
     "Keypoints",
     "Matches",
     "Mesh",
     "Model",
+    "Pose",
     "PreparedMap",
     "RecordedCloud",
     "Recording",
@@ -293,12 +297,9 @@ class _TileRow(TypedDict):
 @final
 class Tiles:
     def rows(self) -> list[_TileRow]: ...
-    @property
-    def folder(self) -> Path: ...
-    @property
-    def failures(self) -> dict[Path, str]: ...
-    @property
-    def max_keypoints(self) -> int | None: ...
+    folder: Final[Path]
+    failures: Final[dict[Path, str]]
+    max_keypoints: Final[int | None]
     def detect(self, tile: int) -> None: ...
     def is_detected(self, tile: int) -> bool: ...
     def detected(self) -> DetectedTiles: ...
@@ -307,27 +308,21 @@ class Tiles:
 
 @final
 class DetectedTiles:
-    @property
-    def missing(self) -> list[int]: ...
-    @property
-    def counts(self) -> dict[str, int]: ...
+    missing: Final[list[int]]
+    counts: Final[dict[str, int]]
     def keypoints(self, tile: int) -> dict[str, NDArray[Any]]: ...
 
 @final
 class Recording:
-    @property
-    def topic(self) -> str: ...
+    topic: Final[str]
     def __iter__(self) -> Self: ...
     def __next__(self) -> RecordedCloud: ...
 
 @final
 class RecordedCloud:
-    @property
-    def log_time(self) -> int: ...
-    @property
-    def frame_id(self) -> str: ...
-    @property
-    def points(self) -> _Positions: ...
+    log_time: Final[int]
+    frame_id: Final[str]
+    points: Final[_Positions]
 
 @final
 class Model:
@@ -337,14 +332,10 @@ class Model:
     def load(path: str | os.PathLike[str]) -> Model: ...
     @staticmethod
     def from_bytes(data: bytes, name: str | None = None) -> Model: ...
-    @property
-    def config(self) -> _Config: ...
-    @property
-    def metadata(self) -> dict[str, str]: ...
-    @property
-    def num_parameters(self) -> int: ...
-    @property
-    def recommended(self) -> _Options: ...
+    config: Final[_Config]
+    metadata: Final[dict[str, str]]
+    num_parameters: Final[int]
+    recommended: Final[_Options]
     def encode(self, points: _Points, **options: Unpack[_EncodeOptions]) -> Field: ...
 
 @final
@@ -354,16 +345,12 @@ class Field:
     def occupancy_and_gradient(self, queries: _Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
     def saliency_and_gradient(self, queries: _Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
     def descriptors(self, queries: _Points) -> NDArray[np.float32]: ...
-    @property
-    def volume(self) -> NDArray[np.float32]: ...
-    @property
-    def normalization(self) -> tuple[_Positions, float]: ...
-    @property
-    def orientation(self) -> NDArray[np.float32]: ...
+    volume: Final[NDArray[np.float32]]
+    normalization: Final[tuple[_Positions, float]]
+    orientation: Final[NDArray[np.float32]]
     def detect(self, **options: Unpack[_DetectOptions]) -> Keypoints: ...
     def mesh(self, **options: Unpack[_MeshOptions]) -> Mesh: ...
-    @property
-    def notes(self) -> list[str]: ...
+    notes: Final[list[str]]
 
 @final
 class FrameDetector:
@@ -457,14 +444,10 @@ class Mesh:
         triangles: NDArray[np.uint32],
         notes: list[str] = ...,
     ) -> Self: ...
-    @property
-    def notes(self) -> list[str]: ...
-    @property
-    def vertices(self) -> _Positions: ...
-    @property
-    def normals(self) -> NDArray[np.float32]: ...
-    @property
-    def triangles(self) -> NDArray[np.uint32]: ...
+    notes: Final[list[str]]
+    vertices: Final[_Positions]
+    normals: Final[NDArray[np.float32]]
+    triangles: Final[NDArray[np.uint32]]
 
 def iss(
     points: _Points,
@@ -503,66 +486,6 @@ def random_points(points: _Points, count: int, seed: int = 0) -> tuple[NDArray[n
 def run_command(words: list[str]) -> int: ...
 
 @final
-class Alignment:
-    def __new__(
-        cls,
-        poses: list[NDArray[np.float64]],
-        parts: list[list[int]],
-        covariances: list[NDArray[np.float64]],
-        edges: list[AlignmentEdge],
-        contradictions: list[tuple[int, int, float, float]],
-        notes: list[str],
-        num_pairs: int,
-        num_skipped: list[int],
-        seconds: float,
-    ) -> Self: ...
-    @property
-    def poses(self) -> list[NDArray[np.float64]]: ...
-    @property
-    def parts(self) -> list[list[int]]: ...
-    @property
-    def covariances(self) -> list[NDArray[np.float64]]: ...
-    @property
-    def edges(self) -> list[AlignmentEdge]: ...
-    @property
-    def contradictions(self) -> list[tuple[int, int, float, float]]: ...
-    @property
-    def notes(self) -> list[str]: ...
-    @property
-    def num_pairs(self) -> int: ...
-    @property
-    def num_skipped(self) -> list[int]: ...
-    @property
-    def seconds(self) -> float: ...
-
-@final
-class AlignmentEdge:
-    def __new__(
-        cls,
-        source: int,
-        target: int,
-        t_target_source: NDArray[np.float64],
-        confidence: float,
-        belief: float,
-        residual: float,
-        information: NDArray[np.float64],
-    ) -> Self: ...
-    @property
-    def source(self) -> int: ...
-    @property
-    def target(self) -> int: ...
-    @property
-    def t_target_source(self) -> NDArray[np.float64]: ...
-    @property
-    def confidence(self) -> float: ...
-    @property
-    def belief(self) -> float: ...
-    @property
-    def residual(self) -> float: ...
-    @property
-    def information(self) -> NDArray[np.float64]: ...
-
-@final
 class PreparedMap:
     def __new__(
         cls,
@@ -573,117 +496,108 @@ class PreparedMap:
         **options: Unpack[_RegistrationOptions],
     ) -> Self: ...
     def register(self, source: _Points, **options: Unpack[_PairOptions]) -> Registration: ...
-    @property
-    def voxel_size(self) -> float: ...
+    voxel_size: Final[float]
+
+# Results, written as the options.
 
 @final
+@dataclass(frozen=True, eq=False)
 class Registration:
-    def __new__(cls, state: dict[str, Any]) -> Self: ...
-    @property
-    def t_target_source(self) -> NDArray[np.float64]: ...
-    @property
-    def scale(self) -> float: ...
-    @property
-    def verdict(self) -> Verdict: ...
-    @property
-    def fit(self) -> Fit: ...
-    @property
-    def matches(self) -> Matches: ...
-    @property
-    def clouds(self) -> tuple[CloudReport, CloudReport]: ...
-    @property
-    def hypotheses(self) -> list[NDArray[np.float64]]: ...
-    @property
-    def seconds(self) -> float: ...
+    t_target_source: NDArray[np.float64]
+    scale: float
+    verdict: Verdict
+    fit: Fit
+    matches: Matches
+    clouds: list[CloudReport]
+    hypotheses: list[Hypothesis]
+    seconds: float
 
 @final
+@dataclass(frozen=True, eq=False)
 class Verdict:
-    def __new__(
-        cls,
-        confidence: float,
-        is_reliable: bool,
-        is_ambiguous: bool,
-        notes: list[str],
-        weakest_constraint: float,
-        slide_margin: float,
-        repeat_fit: float,
-        free_space_violation: float,
-    ) -> Self: ...
-    @property
-    def confidence(self) -> float: ...
-    @property
-    def is_reliable(self) -> bool: ...
-    @property
-    def is_ambiguous(self) -> bool: ...
-    @property
-    def notes(self) -> list[str]: ...
-    @property
-    def weakest_constraint(self) -> float: ...
-    @property
-    def slide_margin(self) -> float: ...
-    @property
-    def repeat_fit(self) -> float: ...
-    @property
-    def free_space_violation(self) -> float: ...
+    confidence: float
+    is_reliable: bool
+    is_ambiguous: bool
+    notes: list[str]
+    weakest_constraint: float
+    slide_margin: float
+    repeat_fit: float
+    free_space_violation: float
 
 @final
+@dataclass(frozen=True, eq=False)
 class Fit:
-    def __new__(
-        cls,
-        fitness: float,
-        rmse: float,
-        inlier_distance: float,
-        voxel_size: float,
-        information: NDArray[np.float64],
-    ) -> Self: ...
-    @property
-    def fitness(self) -> float: ...
-    @property
-    def rmse(self) -> float: ...
-    @property
-    def inlier_distance(self) -> float: ...
-    @property
-    def voxel_size(self) -> float: ...
-    @property
-    def information(self) -> NDArray[np.float64]: ...
+    fitness: float
+    rmse: float
+    inlier_distance: float
+    voxel_size: float
+    information: NDArray[np.float64]
 
 @final
+@dataclass(frozen=True, eq=False)
 class Matches:
-    def __new__(
-        cls,
-        num_matches: int,
-        num_inliers: int,
-        rmse: float,
-        num_agreeing: int,
-        num_rival_agreeing: int,
-        spread: float,
-    ) -> Self: ...
-    @property
-    def num_matches(self) -> int: ...
-    @property
-    def num_inliers(self) -> int: ...
-    @property
-    def rmse(self) -> float: ...
-    @property
-    def num_agreeing(self) -> int: ...
-    @property
-    def num_rival_agreeing(self) -> int: ...
-    @property
-    def spread(self) -> float: ...
+    num_matches: int
+    num_inliers: int
+    rmse: float
+    num_agreeing: int
+    num_rival_agreeing: int
+    spread: float
 
 @final
+@dataclass(frozen=True, eq=False)
 class CloudReport:
-    def __new__(
-        cls, viewpoint: str, position: list[float] | None, visible: float | None, num_skipped: int
-    ) -> Self: ...
-    @property
-    def viewpoint(self) -> Literal["given", "found", "origin", "none"]: ...
-    @property
-    def position(self) -> list[float] | None: ...
-    @property
-    def visible(self) -> float | None: ...
-    @property
-    def num_skipped(self) -> int: ...
+    viewpoint: str
+    position: list[float] | None
+    visible: float | None
+    num_skipped: int
+
+@final
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    t_target_source: NDArray[np.float64]
+    score: float
+    num_inliers: int
+    free_space_violation: float
+
+@final
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    poses: list[Pose]
+    parts: list[list[int]]
+    edges: list[Edge]
+    contradictions: list[Contradiction]
+    notes: list[str]
+    num_pairs: int
+    num_skipped: list[int]
+    seconds: float
+
+@final
+@dataclass(frozen=True, eq=False)
+class Pose:
+    part: int
+    t_part_cloud: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+@final
+@dataclass(frozen=True, eq=False)
+class Edge:
+    source: int
+    target: int
+    t_target_source: NDArray[np.float64]
+    confidence: float
+    belief: float
+    residual: float
+    information: NDArray[np.float64]
+
+@final
+@dataclass(frozen=True, eq=False)
+class Contradiction:
+    source: int
+    target: int
+    distance: float
+    tolerance: float
+
+# The end of the results.
 
 def aggregate(model: Model, points: _Points, features: ArrayLike) -> NDArray[np.float32]: ...
 def interpolate(model: Model, volume: ArrayLike, queries: _Points) -> NDArray[np.float32]: ...

@@ -12,7 +12,7 @@ use snake_io::{KeypointSource, adds_origin, origin_note, write_keypoints};
 use snake_registration::{FPFH_DIMENSION, describe_keypoints};
 
 use crate::arrays::{self, Positions, Precision};
-use crate::error::file_error;
+use crate::error::py_error;
 use crate::{threads, warn};
 
 /// One keypoint. It can be pickled.
@@ -270,7 +270,7 @@ impl Keypoints {
         });
         let keypoints: Vec<core::Keypoint> = keypoints.collect();
         let source = KeypointSource::new(&path, cloud.origin);
-        py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(file_error)?;
+        py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(py_error)?;
         warn(py, origin_note(adds_origin(&path), cloud.origin))
     }
 

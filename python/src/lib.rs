@@ -15,8 +15,8 @@ mod mesh;
 mod model;
 mod options;
 mod page;
-mod part;
 mod recording;
+mod records;
 mod registration;
 mod remote;
 mod steps;
@@ -30,7 +30,7 @@ use pyo3::types::PyDict;
 use snake_core::{Chooser, Chosen, Cloud, Error, parallel_map};
 use snake_registration::{FPFH_DIMENSION, mutual_nearest};
 
-use alignment::{Alignment, AlignmentEdge, align};
+use alignment::align;
 use arrays::Precision;
 use field::Field;
 use frames::FrameDetector;
@@ -39,7 +39,7 @@ use keypoints::{Keypoint, Keypoints};
 use mesh::Mesh;
 use model::Model;
 use recording::{RecordedCloud, Recording, read_recording};
-use registration::{CloudReport, Fit, Matches, PreparedMap, Registration, Verdict, estimate_normals, fpfh, register};
+use registration::{PreparedMap, estimate_normals, fpfh, register};
 use threads::{Watch, get_num_threads, set_num_threads};
 use tiled::{DetectedTiles, Tiles, tiles};
 
@@ -98,12 +98,12 @@ fn detect(
     Ok(Bound::new(py, keypoints)?.into_any().unbind())
 }
 
-/// What `detect` chooses between the models of objects and of scenes by: eight numbers of a cloud `(N, 3)`, or None if it is too
+/// What `detect` chooses between the models of objects and of scenes by: numbers of a cloud `(N, 3)`, or None if it is too
 /// small. `snake_training.cloud_kind` fits the weights of them.
 #[pyfunction]
 fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
     let (cloud, _) = arrays::cloud("points", points)?;
-    Ok(snake_core::scene_signs(&cloud.points).map(Vec::from))
+    Ok(snake_core::scene_signs(&cloud.points, cloud.origin.map(|v| -v)).map(Vec::from))
 }
 
 /// The keypoints of several clouds.
@@ -182,10 +182,9 @@ mod _core {
     use super::steps::{aggregate, decode, interpolate, interpolate_gradient, refine, suppress};
     #[pymodule_export]
     use super::{
-        Alignment, AlignmentEdge, CloudReport, DetectedTiles, Field, Fit, FrameDetector, Keypoint, Keypoints, Matches,
-        Mesh, Model, PreparedMap, RecordedCloud, Recording, Registration, Tiles, Verdict, align, detect,
-        estimate_normals, fpfh, get_num_threads, match_keypoints, read_points, read_recording, register, scene_signs,
-        set_num_threads, tiles,
+        DetectedTiles, Field, FrameDetector, Keypoint, Keypoints, Mesh, Model, PreparedMap, RecordedCloud, Recording,
+        Tiles, align, detect, estimate_normals, fpfh, get_num_threads, match_keypoints, read_points, read_recording,
+        register, scene_signs, set_num_threads, tiles,
     };
 
     /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child
@@ -197,7 +196,7 @@ mod _core {
         // Reading an option tries every type that it can have, also those of numpy.
         super::options::json(points.as_any(), 0);
         snake_core::SimdLevel::current();
-        Ok(())
+        super::records::add_classes(module)
     }
 
     #[pymodule_export]

@@ -133,21 +133,6 @@ pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyA
     })
 }
 
-/// The JSON that [`to_python`] converted, nested at most `depth` times; `None` for any other value.
-pub fn from_python(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
-    if let Ok(dict) = value.cast::<PyDict>() {
-        let depth = depth.checked_sub(1)?;
-        let entry =
-            |(name, value): (Bound<PyAny>, Bound<PyAny>)| Some((name.extract().ok()?, from_python(&value, depth)?));
-        return dict.iter().map(entry).collect::<Option<Map<String, Value>>>().map(Value::Object);
-    }
-    if let Ok(list) = value.cast::<PyList>() {
-        let depth = depth.checked_sub(1)?;
-        return list.iter().map(|item| from_python(&item, depth)).collect();
-    }
-    json(value, 0)
-}
-
 /// The number of items that a sequence can have: a matrix has four rows of four.
 const MAX_ITEMS: usize = 16;
 

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use pyo3::prelude::*;
 
 use crate::arrays::{Positions, Precision};
-use crate::error::file_error;
+use crate::error::py_error;
 
 /// Reads the point clouds of a recording, one after another: an iterator of `RecordedCloud`.
 ///
@@ -21,7 +21,7 @@ use crate::error::file_error;
 #[pyfunction]
 #[pyo3(signature = (path, topic=None))]
 pub fn read_recording(py: Python<'_>, path: PathBuf, topic: Option<String>) -> PyResult<Recording> {
-    let clouds = py.detach(|| snake_io::read_recording(&path, topic.as_deref())).map_err(file_error)?;
+    let clouds = py.detach(|| snake_io::read_recording(&path, topic.as_deref())).map_err(py_error)?;
     Ok(Recording { topic: clouds.topic().to_owned(), clouds: Mutex::new(clouds) })
 }
 
@@ -42,7 +42,7 @@ impl Recording {
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<RecordedCloud>> {
         let next = py.detach(|| self.clouds.lock().unwrap_or_else(PoisonError::into_inner).next());
-        next.map(|cloud| RecordedCloud::new(py, cloud.map_err(file_error)?)).transpose()
+        next.map(|cloud| RecordedCloud::new(py, cloud.map_err(py_error)?)).transpose()
     }
 
     fn __repr__(&self) -> String {

@@ -1,6 +1,6 @@
 //! `snake_rs.register`, `PreparedMap`, `estimate_normals` and `fpfh`.
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::PyArray2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -8,197 +8,15 @@ use snake_core::Cloud;
 use snake_registration as core;
 
 use crate::model;
-use crate::part::part;
 use crate::threads::{self, Watch};
-use crate::{arrays, options, warn};
-
-/// A rigid transform between two clouds, with a verdict and figures of its quality. It can be pickled.
-#[pyclass(frozen, module = "snake_rs")]
-pub struct Registration(core::Registration);
-
-part! {
-/// Whether a transform can be relied on, with the evidence beside `fit` and `matches`.
-Verdict {
-    /// How likely the transform is right, in [0, 1].
-    confidence: f64,
-    /// Whether the transform can be relied on: `confidence` is at least 0.5.
-    is_reliable: bool,
-    /// Whether the clouds leave more than one answer; `notes` say why. An ambiguous transform is not reliable.
-    is_ambiguous: bool,
-    /// Doubts about the clouds or the transform, in sentences.
-    notes: Vec<String>,
-    /// How well the overlap fixes the direction of motion that it fixes least: 0 if the source can slide or rotate.
-    weakest_constraint: f64,
-    /// By how much the overlap exceeds that of slides along the direction that is fixed least; below 0 if one fits better.
-    slide_margin: f64,
-    /// Share of the patches that also fit after a shift along a repeating structure, such as equal pillars; 0 if there is none.
-    repeat_fit: f64,
-    /// Share of the voxels of both clouds that lie where the other cloud's sensor saw through, in [0, 1].
-    free_space_violation: f64,
-}
-}
-
-part! {
-/// How well two clouds fit under a transform.
-Fit {
-    /// Share of the source's voxels within `inlier_distance` of the target's, in [0, 1].
-    fitness: f64,
-    /// Root mean square distance of these voxels to the target's, in cloud units.
-    rmse: f64,
-    /// Distance below which voxels overlap and matches agree, in cloud units.
-    inlier_distance: f64,
-    /// Side of the voxels, in cloud units.
-    voxel_size: f64,
-    /// Information matrix (6, 6) float64 of a small rotation (radians), then translation, in the target's frame.
-    information: Py<PyArray2<f64>>,
-}
-}
-
-part! {
-/// The matches of keypoints, and how many agree with a transform.
-Matches {
-    /// Number of matches.
-    num_matches: usize,
-    /// Number of matches that the transform brings within the inlier distance before ICP.
-    num_inliers: usize,
-    /// Root mean square distance of the inliers before ICP, in cloud units.
-    rmse: f64,
-    /// Number of matches that agree with the refined transform.
-    num_agreeing: usize,
-    /// Number of matches that agree with the best other transform; 0 without one.
-    num_rival_agreeing: usize,
-    /// Standard deviation of the matches that agree in the direction in which they are spread least, in cloud units.
-    spread: f64,
-}
-}
-
-part! {
-/// The used part of a cloud.
-CloudReport {
-    /// What is known of the sensor: "given", "found" in the points, "origin" of the frame, or "none".
-    viewpoint: String,
-    /// Position of the sensor in the cloud's frame, or None.
-    position: Option<[f64; 3]>,
-    /// Share of the points, 0 to 1, that nothing hides from there, or None.
-    visible: Option<f64>,
-    /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
-    num_skipped: usize,
-}
-}
-
-impl Verdict {
-    fn from_core(verdict: &core::Verdict) -> Self {
-        Self {
-            confidence: verdict.confidence,
-            is_reliable: verdict.is_reliable,
-            is_ambiguous: verdict.is_ambiguous,
-            notes: verdict.notes.clone(),
-            weakest_constraint: verdict.weakest_constraint,
-            slide_margin: verdict.slide_margin,
-            repeat_fit: verdict.repeat_fit,
-            free_space_violation: verdict.free_space_violation,
-        }
-    }
-}
-
-impl Fit {
-    fn from_core(py: Python<'_>, fit: &core::Fit) -> PyResult<Self> {
-        let core::Fit { fitness, rmse, inlier_distance, voxel_size, information, .. } = *fit;
-        Ok(Self { fitness, rmse, inlier_distance, voxel_size, information: matrix(py, information)? })
-    }
-}
-
-#[pymethods]
-impl Registration {
-    /// The registration that a pickle holds: a dict with the content of `snake-cli register --json`.
-    #[new]
-    fn new(state: &Bound<'_, PyDict>) -> PyResult<Self> {
-        let refused = || PyValueError::new_err("expected the state of a registration");
-        let state = options::from_python(state, 6).ok_or_else(refused)?;
-        serde_json::from_value(state).map(Self).map_err(|_| refused())
-    }
-
-    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>,)> {
-        let state = serde_json::to_value(&self.0).map_err(|error| PyValueError::new_err(error.to_string()))?;
-        Ok((options::to_python(py, &state)?,))
-    }
-
-    /// Maps source points into the target's frame, (4, 4) float64: `p_target = R (scale p_source) + t`.
-    #[getter]
-    fn t_target_source(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
-        matrix(py, self.0.t_target_source.to_matrix())
-    }
-
-    /// Factor by which source points are multiplied first: 1 unless `estimate_scale` is set.
-    #[getter]
-    fn scale(&self) -> f64 {
-        self.0.scale
-    }
-
-    /// Whether the transform can be relied on, and why or why not.
-    #[getter]
-    fn verdict(&self) -> Verdict {
-        Verdict::from_core(&self.0.verdict)
-    }
-
-    /// How well the clouds fit under the transform.
-    #[getter]
-    fn fit(&self, py: Python<'_>) -> PyResult<Fit> {
-        Fit::from_core(py, &self.0.fit)
-    }
-
-    /// The matches of keypoints, and how many agree with the transform.
-    #[getter]
-    fn matches(&self) -> Matches {
-        let core::Matches { num_matches, num_inliers, rmse, .. } = self.0.matches;
-        let core::Matches { num_agreeing, num_rival_agreeing, spread, .. } = self.0.matches;
-        Matches { num_matches, num_inliers, rmse, num_agreeing, num_rival_agreeing, spread }
-    }
-
-    /// The used parts of source and target.
-    #[getter]
-    fn clouds(&self) -> (CloudReport, CloudReport) {
-        let report = |cloud: &core::CloudReport| CloudReport {
-            viewpoint: cloud.viewpoint.name().into(),
-            position: cloud.sensor.map(|sensor| sensor.position),
-            visible: cloud.sensor.map(|sensor| sensor.visible),
-            num_skipped: cloud.num_skipped,
-        };
-        let [source, target] = &self.0.clouds;
-        (report(source), report(target))
-    }
-
-    /// The best distinct transforms (4, 4), best first: `hypotheses` of them at most.
-    #[getter]
-    fn hypotheses(&self, py: Python<'_>) -> PyResult<Vec<Py<PyArray2<f64>>>> {
-        self.0.hypotheses.iter().map(|hypothesis| matrix(py, hypothesis.t_target_source.to_matrix())).collect()
-    }
-
-    /// Seconds that the registration took.
-    #[getter]
-    fn seconds(&self) -> f64 {
-        self.0.seconds
-    }
-
-    fn __repr__(&self) -> String {
-        let core::Registration { verdict, fit, matches, seconds, .. } = &self.0;
-        format!(
-            "Registration({}, confidence {:.2}; {} of {} matches; fitness {:.3}; {seconds:.3} s)",
-            verdict.word(),
-            verdict.confidence,
-            matches.num_inliers,
-            matches.num_matches,
-            fit.fitness
-        )
-    }
-}
+use crate::{arrays, options, records, warn};
 
 /// Finds the rigid transform that aligns one cloud to another, without an initial pose.
 ///
 /// `source` (N, 3) and `target` (M, 3) have the same forms as in `detect` and the same units. They may overlap only
 /// partly. Points that are not finite are skipped. Descriptors of the downsampled clouds are matched, transforms on
 /// which many matches agree are compared on the clouds, and point-to-plane ICP refines the best. `verdict` says whether
-/// to trust it. Only the detector "snake" and the descriptor "field" run a `model` (default: the
+/// to trust it: of rooms a reliable transform is within 15 degrees and 0.3 m of the truth. Only the detector "snake" and the descriptor "field" run a `model` (default: the
 /// built-in one that suits the target, as in `detect`); no other loads one. A transform that is not reliable and each of the
 /// verdict's notes give a UserWarning. `deadline` and `progress` are those of `detect`.
 ///
@@ -209,15 +27,15 @@ impl Registration {
 #[doc = include_str!("help/register.txt")]
 #[pyfunction]
 #[pyo3(signature = (source, target, model=None, *, deadline=None, progress=None, **options))]
-pub fn register(
-    py: Python<'_>,
+pub fn register<'py>(
+    py: Python<'py>,
     source: &Bound<'_, PyAny>,
     target: &Bound<'_, PyAny>,
     model: Option<&Bound<'_, PyAny>>,
     deadline: Option<f64>,
     progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
-) -> PyResult<Registration> {
+) -> PyResult<Bound<'py, PyAny>> {
     let watch = Watch::new(deadline, progress)?;
     let (options, mut pair): (core::RegisterOptions, core::PairOptions) = options::of("register", options)?;
     let (source, _, from_source) = arrays::cloud_with_notes("source", source)?;
@@ -230,7 +48,7 @@ pub fn register(
     })?;
     warn(py, near.verdict.warning().iter().chain(&near.verdict.notes))?;
     let near = near.with_notes_on_clouds([&from_source, &from_target]);
-    Ok(Registration(near.between_origins(source.origin, target.origin)))
+    records::to_python(py, &near.between_origins(source.origin, target.origin))
 }
 
 /// A map that many scans are registered to, such as a floor of rooms. It can be pickled.
@@ -286,12 +104,16 @@ impl PreparedMap {
     /// Finds the transform from a scan (N, 3) to the map, as `register` does with the map as the target. The options are those
     /// of `register` for a pair: `source_viewpoint`, `initial` and `hypotheses`.
     #[pyo3(signature = (source, **options))]
-    fn register(&self, source: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Registration> {
+    fn register<'py>(
+        &self,
+        source: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let pair: core::PairOptions = options::of("PreparedMap.register", options)?;
         let (scan, _) = arrays::cloud("source", source)?;
         let registration = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
         warn(source.py(), registration.verdict.warning().iter().chain(&registration.verdict.notes))?;
-        Ok(Registration(registration))
+        records::to_python(source.py(), &registration)
     }
 
     /// Side of the voxels, in cloud units.
@@ -326,10 +148,6 @@ impl PreparedMap {
         let (count, size) = (self.given.cloud.points.len(), self.voxel_size());
         format!("PreparedMap({count} points, voxels of {size:.3})")
     }
-}
-
-pub(crate) fn matrix<const N: usize>(py: Python<'_>, rows: [[f64; N]; N]) -> PyResult<Py<PyArray2<f64>>> {
-    Ok(PyArray1::from_vec(py, rows.as_flattened().to_vec()).reshape([N, N])?.unbind())
 }
 
 /// Unit normals (N, 3) float32 of a cloud (N, 3). A normal is the direction of the least variance of the points nearer

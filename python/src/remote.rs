@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_io::{Copc, LocalFile, POINT_EXTENSIONS, Ranges};
 
-use crate::error::file_error;
+use crate::error::py_error;
 
 /// The files of a cloud.
 pub enum Inputs {
@@ -33,7 +33,7 @@ impl Inputs {
         let module = py.import("snake_rs._remote")?;
         let mut expanded = Vec::new();
         for path in paths {
-            // Of a URL only the end tells a folder: to ask a web server could read a whole file.
+            // Only the end of a URL tells a folder: to ask a web server could read a whole file.
             if path.is_dir() || url(&path).is_some_and(|url| url.ends_with('/')) {
                 let clouds = module
                     .call_method1("clouds_in", (path.as_os_str(), POINT_EXTENSIONS.to_vec(), &storage_options))?;
@@ -81,7 +81,7 @@ pub fn open_all(py: Python<'_>, files: &[Py<PyAny>]) -> PyResult<Option<Vec<Copc
             Ok(path) => Arc::new(LocalFile::new(&path)?),
             Err(_) => Arc::new(RemoteFile::new(file.bind(py))?),
         };
-        py.detach(|| Copc::open(source)).map_err(file_error)
+        py.detach(|| Copc::open(source)).map_err(py_error)
     };
     files.iter().map(open).collect()
 }

@@ -167,7 +167,7 @@ pub fn suppress<'py>(
     let (py, points) = (points.py(), arrays::points("points", points)?);
     let (scores, _) = values("scores", scores, &[points.len() as isize])?;
     if !points.is_empty() {
-        check_points("points", &points).map_err(snake_core::Error::from).map_err(py_error)?;
+        check_points("points", &points).map_err(py_error)?;
     }
     if scores.iter().any(|score| !score.is_finite()) {
         return Err(PyValueError::new_err("scores: a score is not finite"));

@@ -1,55 +1,22 @@
 //! Threads and signals. Each process has its own thread pool, so that calls also work after a fork. Long calls handle
 //! signals such as Ctrl-C while they run.
 
-use std::mem::forget;
 use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
-use snake_core::{CancelFlag, Control, Progress, Result, SimdLevel, check_num_threads};
+use snake_core::{CancelFlag, Control, ProcessPool, Progress, Result, max_num_threads};
 
-use crate::error::py_error;
+use crate::error::{py_error, value_error};
 
-/// The number of threads from `set_num_threads` (0: the default), and the pool with the id of its process.
-struct State {
-    num_threads: usize,
-    pool: Option<(u32, Arc<ThreadPool>)>,
-}
-
-static STATE: Mutex<State> = Mutex::new(State { num_threads: 0, pool: None });
-
-/// Locks the state. Python forks with the GIL held, and this lock is only held together with the GIL: a child process
-/// therefore never inherits it locked.
-fn state(_py: Python<'_>) -> MutexGuard<'static, State> {
-    STATE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// The pool of this process. A forked child has the memory of its parent but not its threads, so it starts its own
-/// pool.
-fn pool(py: Python<'_>) -> PyResult<Arc<ThreadPool>> {
-    let (mut state, process) = (state(py), std::process::id());
-    if let Some((of, pool)) = &state.pool
-        && *of == process
-    {
-        return Ok(pool.clone());
-    }
-    SimdLevel::check_environment().map_err(PyValueError::new_err)?;
-    let builder = ThreadPoolBuilder::new().num_threads(state.num_threads);
-    let pool = Arc::new(builder.build().map_err(|e| PyRuntimeError::new_err(e.to_string()))?);
-    // With the GIL held no child can be forked: each thread fills what it shares with others at its first job.
-    pool.broadcast(|_| ());
-    // Dropping the parent's pool would signal threads that do not exist here.
-    forget(state.pool.replace((process, pool.clone())));
-    Ok(pool)
-}
+/// Python forks with the GIL held, and this pool is only asked for together with the GIL: a child never inherits its lock.
+static POOL: ProcessPool = ProcessPool::new();
 
 /// Runs work of the core on this process's threads, with the GIL released. Every call of the core that may compute in
 /// parallel goes through here: on Rayon's global pool it would wait forever in a forked child.
 pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
-    let pool = pool(py)?;
+    let pool = POOL.get().map_err(py_error)?;
     py.detach(|| pool.install(work)).map_err(py_error)
 }
 
@@ -89,7 +56,7 @@ pub fn run_watched<T: Send>(
     watch: Watch,
     work: impl FnOnce(&Control) -> Result<T> + Send,
 ) -> PyResult<T> {
-    let (pool, flag, stages) = (pool(py)?, CancelFlag::default(), Progress::default());
+    let (pool, flag, stages) = (POOL.get().map_err(py_error)?, CancelFlag::default(), Progress::default());
     let control = Control::new().cancel(&flag).progress(&stages);
     let control = match watch.deadline {
         Some(deadline) => control.deadline(deadline),
@@ -138,20 +105,15 @@ pub fn run_watched<T: Send>(
 /// has its own threads. Results have the same bits for any number of threads. Raises ValueError if `num_threads` is 0,
 /// or greater than both 256 and the number of processors.
 #[pyfunction]
-pub fn set_num_threads(py: Python<'_>, num_threads: usize) -> PyResult<()> {
-    check_num_threads(num_threads).map_err(py_error)?;
-    let mut state = state(py);
-    state.num_threads = num_threads;
-    if let Some((process, pool)) = state.pool.take()
-        && process != std::process::id()
-    {
-        forget(pool);
+pub fn set_num_threads(num_threads: usize) -> PyResult<()> {
+    if num_threads == 0 {
+        return Err(value_error(&format!("num_threads: 0: allowed is 1 to {}", max_num_threads())));
     }
-    Ok(())
+    POOL.set_num_threads(num_threads).map_err(py_error)
 }
 
-/// The number of threads that all calls of this process share. Raises RuntimeError when the threads cannot be started.
+/// The number of threads that all calls of this process share. Raises ValueError when the threads cannot be started.
 #[pyfunction]
-pub fn get_num_threads(py: Python<'_>) -> PyResult<usize> {
-    Ok(pool(py)?.current_num_threads())
+pub fn get_num_threads() -> PyResult<usize> {
+    Ok(POOL.get().map_err(py_error)?.current_num_threads())
 }

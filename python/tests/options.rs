@@ -1,4 +1,4 @@
-//! The options in Python's docstrings and stub are those of the tables. `SNAKE_WRITE_OPTIONS=1` writes them.
+//! The options in Python's docstrings and stub are those of the tables, and so are the results. `SNAKE_WRITE_OPTIONS=1` writes them.
 
 use std::path::Path;
 
@@ -8,7 +8,8 @@ use snake_core::{
     Builtin, DetectOptions, EncodeOptions, MeshOptions, OptionGroup, OptionInfo, OptionKind, Options, Preset,
 };
 use snake_detectors::{Harris3dOptions, IssOptions, Sift3dOptions, SurfaceVariationOptions};
-use snake_registration::{AlignOptions, PairOptions, RegisterOptions};
+use snake_geometry::{RecordField, RecordInfo, RecordKind};
+use snake_registration::{AlignOptions, PairOptions, RECORDS, RegisterOptions};
 
 const COMMAND: &str = "SNAKE_WRITE_OPTIONS=1 cargo test --release -p snake-rs-python --test options";
 
@@ -33,12 +34,7 @@ fn docstrings_have_every_option_with_its_default() {
 }
 
 #[test]
-fn the_stub_has_every_option_with_its_type() {
-    let path = folder().join("snake_rs/_core.pyi");
-    let stub = std::fs::read_to_string(&path).unwrap();
-    let (begin, end) = (format!("# Options, written by {COMMAND}\n\n"), "\n# The end of the options.\n");
-    let (before, rest) = stub.split_once(&begin).unwrap();
-    let (_, after) = rest.split_once(end).unwrap();
+fn the_stub_has_every_option_and_every_result() {
     let preset = format!("    preset: Literal[{}] | None\n", quoted(&presets(), ", "));
     let classes = [
         class("_Preset", "TypedDict", &preset),
@@ -55,7 +51,43 @@ fn the_stub_has_every_option_with_its_type() {
         class("_SurfaceVariationOptions", "TypedDict", &types(SurfaceVariationOptions::OPTIONS)),
         class("_MeshOptions", "TypedDict", &types(MeshOptions::OPTIONS)),
     ];
-    check(&path, &format!("{before}{begin}{}{end}{after}", classes.join("\n")));
+    let results: Vec<String> = RECORDS.iter().copied().map(result).collect();
+    let path = folder().join("snake_rs/_core.pyi");
+    let stub = std::fs::read_to_string(&path).unwrap();
+    let options = format!("# Options, written by {COMMAND}\n\n");
+    let stub = with_part(&stub, &options, &classes.join("\n"), "\n# The end of the options.\n");
+    let stub =
+        with_part(&stub, "# Results, written as the options.\n\n", &results.concat(), "# The end of the results.\n");
+    check(&path, &stub);
+}
+
+/// A text with another part between two lines.
+fn with_part(text: &str, begin: &str, part: &str, end: &str) -> String {
+    let (before, rest) = text.split_once(begin).unwrap();
+    let (_, after) = rest.split_once(end).unwrap();
+    format!("{before}{begin}{part}{end}{after}")
+}
+
+/// The class of a result.
+fn result(record: &RecordInfo) -> String {
+    let field = |field: &RecordField| format!("    {}: {}\n", field.name, type_of_value(&(field.kind)()));
+    let fields: String = record.fields().map(field).collect();
+    format!("@final\n@dataclass(frozen=True, eq=False)\nclass {}:\n{fields}\n", record.name)
+}
+
+fn type_of_value(kind: &RecordKind) -> String {
+    match kind {
+        RecordKind::Flag => "bool".into(),
+        RecordKind::Whole => "int".into(),
+        RecordKind::Number => "float".into(),
+        RecordKind::Text => "str".into(),
+        RecordKind::Record(record) => record.name.into(),
+        RecordKind::Optional(kind) => format!("{} | None", type_of_value(kind)),
+        RecordKind::List(item) => match type_of_value(item).as_str() {
+            "list[float]" => "NDArray[np.float64]".into(),
+            item => format!("list[{item}]"),
+        },
+    }
 }
 
 /// The folder of the package.

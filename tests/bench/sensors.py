@@ -70,9 +70,9 @@ def main() -> None:
                 np.save(file, points @ turn.T + shift)
                 command = [arguments.program, "register", file, file, "--json", "--threads", "1"]
                 found = subprocess.run(command, capture_output=True, text=True)
-                sensor = json.loads(found.stdout)["clouds"][0]["sensor"] if found.stdout else None
+                place = json.loads(found.stdout)["clouds"][0]["position"] if found.stdout else None
                 truth = np.zeros(3) if eye is None else turn @ eye + shift
-                off = float(np.linalg.norm(sensor["position"] - truth)) if sensor else None
+                off = float(np.linalg.norm(place - truth)) if place else None
                 rows.setdefault(f"{kind}{'' if eye is None else ' *'}", []).append(off)
     print(f"| kind (* has one sensor) | clouds | found | within {NEAR} m | farthest |\n|---|---|---|---|---|")
     for kind, offs in rows.items():

@@ -1,9 +1,8 @@
 """The weights by which a cloud is taken for a scene or for an object (`choose/rule.rs` in snake-core has them, `cloud/scene_signs.rs` the
 signs that they weigh).
 
-`python -m snake_training.cloud_kind --objects CORPUS/objects/train --scenes CORPUS/scenes/train --leave-out SCENE` fits them to made
-clouds of scenes and those of the corpus, parts of rooms included, and prints them, with the shares of clouds that they take for scenes,
-also of the scenes that are left out.
+`python -m snake_training.cloud_kind CORPUS` fits them to the training objects of the corpus, whole and seen from one side, to its training
+scenes and to made ones, and prints them, with the shares of these clouds that they take for scenes, and of the validation part's.
 """
 
 import json
@@ -14,25 +13,25 @@ import numpy as np
 from snake_rs._core import scene_signs
 
 from .arguments import option, parser_of
+from .data.landmarks import landmarks
 from .data.sensors import scene_cloud
+from .data.shapes import Procedural
+from .data.views import FRAMES, bare_room, one_sided, table_top
+from .data.worlds import any_turn
 
-KEPT = 0.99  # share of the scenes of the corpus that are taken for scenes: a scene taken for an object costs far more than the reverse
+LIMIT = 3.0  # standard deviations: signs beyond count as much
 
 
 def signs(clouds):
-    """The signs (N, 8) of clouds, without those of clouds that are too small."""
+    """The signs (N, 12) of clouds, without those of clouds that are too small."""
     found = (scene_signs(np.ascontiguousarray(cloud, dtype=np.float32)) for cloud in clouds)
     return np.array([row for row in found if row is not None])
 
 
-def objects(folder, step, rng):
-    """Objects of a corpus, whole, and every other one as few noisy points."""
+def objects(folder, start, step):
+    """Objects of a corpus, from one on."""
     points = np.load(folder / "points.npy", mmap_mode="r")
-    for index in range(0, len(points), step):
-        cloud = points[index] / np.float32(32767)
-        yield cloud
-        if index // step % 2:
-            yield cloud[:600] + rng.normal(0, 0.02, (600, 3))
+    return [points[index] / np.float32(32767) for index in range(start, len(points), step)]
 
 
 def torus(rng, number=4000):
@@ -42,37 +41,98 @@ def torus(rng, number=4000):
     return np.column_stack([out * np.cos(one), out * np.sin(one), rng.uniform(0.1, 0.6) * np.sin(other)])
 
 
-def fragments(folder, left_out, rng):
-    """The clouds of a folder of scenes by whether they are left out, in metres.
-
-    Of every other one also 0.4, cut by a plane, and of every third one also a copy with noise of 2 cm.
-    """
-    clouds = {False: [], True: []}
-    for index, row in enumerate(json.loads((folder / "index.json").read_text())):
-        cloud = np.load(folder / f"{row['name']}.npy")
-        kept = clouds[row["scene"] in left_out]
-        kept.append(cloud)
-        if index % 2:
-            depth = cloud @ rng.normal(size=3)
-            kept.append(cloud[depth < np.quantile(depth, 0.4)])
-        if index % 3 == 0:
-            kept.append(cloud + rng.normal(0, 0.02, cloud.shape))
-    return clouds
+def scenes(folder):
+    """The clouds of a folder of scenes, in metres."""
+    return [np.load(folder / f"{row['name']}.npy") for row in json.loads((folder / "index.json").read_text())]
 
 
-def columns(rows):
-    """The weighed columns (N, 16): the signs (N, 8) and their squares."""
-    return np.column_stack([rows, rows**2])
+def part(cloud, rng):
+    """0.4 of a cloud, cut by a plane."""
+    depth = cloud @ rng.normal(size=3)
+    return cloud[depth < np.quantile(depth, 0.4)]
 
 
-def fit(groups, penalty=1e-2):
-    """The weights (16 and one) of the log-odds that a cloud is a scene.
+def varied(cloud, rng):
+    """A cloud (N, 3) of a scene in metres, at times a part of it, or with noise of 2 cm, thinned, and in another frame."""
+    chance = rng.random(3)
+    if chance[0] < 0.25:
+        cloud = part(cloud, rng)
+    elif chance[0] < 0.35:
+        cloud = cloud + rng.normal(0, 0.02, cloud.shape)
+    if chance[1] < 0.4:
+        number = int(np.exp(rng.uniform(np.log(600), np.log(max(len(cloud), 601)))))
+        cloud = cloud[rng.permutation(len(cloud))[:number]]
+    if chance[2] < 0.6:
+        return cloud
+    cloud = cloud - cloud.mean(axis=0)
+    if chance[2] > 0.9:
+        cloud = cloud @ any_turn(rng).T + rng.normal(size=3) * np.ptp(cloud, axis=0).max() * 10 ** rng.uniform(
+            -0.5, 1.5
+        )
+    return cloud
+
+
+def training_groups(corpus, made, step, rng):
+    """(signs (N, 12), whether these are scenes) of the clouds of the fit, by name."""
+    whole = objects(corpus / "objects/train", 0, step)
+    thin = [cloud[:600] + rng.normal(0, 0.02, (600, 3)) for cloud in whole[::4]]
+    rings = [torus(rng) for _ in range(made // 4)]
+    views = [one_sided(cloud, rng) for cloud in objects(corpus / "objects/train", 1, step)]
+    views += [one_sided(landmarks(name, rng)[0], rng) for name in ("box", "nut") for _ in range(made // 2)]
+    views += [one_sided(cloud / 2, rng) for cloud, _ in zip(Procedural(), range(made))]
+    worlds = []
+    for number in range(made):
+        make = {0: bare_room, 1: table_top, 4: bare_room}.get(number % 8, lambda rng: scene_cloud(rng)[1])
+        cloud = make(rng)
+        worlds += [varied(cloud, rng) for _ in range(2)] if len(cloud) > 300 else []
+    rooms = (varied(cloud, rng) for cloud in scenes(corpus / "scenes/train") * 2)
+    return {
+        "objects": (signs(whole + thin + rings), False),
+        "views of objects": (signs(views), False),
+        "made scenes": (signs(worlds), True),
+        "scenes": (signs(rooms), True),
+    }
+
+
+def judging_groups(corpus, rng):
+    """The same of clouds that judge the fit: three views of every 14th validation object, all of them whole, and scenes."""
+    folder = corpus / "objects/val"
+    chosen = objects(folder, 7, 14)
+    groups = {f"judging: views, {frame}": (signs(one_sided(c, rng, frame) for c in chosen), False) for frame in FRAMES}
+    groups["judging: objects"] = (signs(objects(folder, 0, 1)), False)
+    clouds = scenes(corpus / "scenes/val")
+    groups["judging: scenes"] = (signs(clouds), True)
+    groups["judging: parts of scenes"] = (signs(part(cloud, rng) for cloud in clouds[:36:2]), True)
+    return groups
+
+
+class Rule:
+    """The log-odds that a cloud is a scene: a quadratic form in its signs (K), each less a mean and in units of a deviation (K,)."""
+
+    def __init__(self, mean, deviation, weights):
+        self.mean, self.deviation, self.weights = mean, deviation, weights
+
+    def columns(self, rows):
+        """What is weighed (N, K + K (K + 1) / 2): the signs (N, K), and the products of each with those before it and itself."""
+        scaled = ((rows - self.mean) / self.deviation).clip(-LIMIT, LIMIT)
+        products = [scaled[:, [i]] * scaled[:, : i + 1] for i in range(rows.shape[1])]
+        return np.column_stack([scaled, *products])
+
+    def score(self, rows):
+        """Above 0 a cloud is a scene: (N,) of signs (N, K)."""
+        return self.columns(rows) @ self.weights[:-1] + self.weights[-1]
+
+
+def fit(groups, penalty=1e-3):
+    """The rule by groups of signs (N, K) and whether these are scenes.
 
     Each class is as important as the other, and a group of a class counts by the root of its number of clouds.
     """
-    rows = columns(np.concatenate([rows for rows, _ in groups]))
+    signs = np.concatenate([rows for rows, _ in groups])
     truth = np.concatenate([np.full(len(rows), is_scene) for rows, is_scene in groups])
-    mean, deviation = rows.mean(0), rows.std(0)
+    rule = Rule(signs.mean(axis=0), signs.std(axis=0), None)
+    rows = rule.columns(signs)
+    mean, deviation = rows.mean(axis=0), rows.std(axis=0)
     scaled = np.column_stack([(rows - mean) / deviation, np.ones(len(rows))])
     importance = np.concatenate([np.full(len(rows), len(rows) ** -0.5) for rows, _ in groups])
     for is_scene in (False, True):
@@ -85,46 +145,25 @@ def fit(groups, penalty=1e-2):
         curve = (scaled * (importance * chance * (1 - chance))[:, None]).T @ scaled + np.diag(pull)
         weights -= np.linalg.solve(curve, slope)
     unscaled = weights[:-1] / deviation
-    return np.r_[unscaled, weights[-1] - unscaled @ mean]
-
-
-def score(rows, weights):
-    """Above 0 a cloud is a scene: (N,) of signs (N, 8)."""
-    return columns(rows) @ weights[:-1] + weights[-1]
+    rule.weights = np.r_[unscaled, weights[-1] - unscaled @ mean]
+    return rule
 
 
 def main(argv=None):
     words = {
-        "--objects": dict(type=Path, required=True),
-        "--scenes": dict(type=Path, nargs="*", default=[], help="folders with index.json"),
-        "--leave-out": dict(nargs="*", default=[], metavar="SCENE", help="scenes to judge the weights by"),
-        "--made": option(200, "made scenes"),
+        "corpus": dict(type=Path, help="folder with objects and scenes, train and val"),
+        "--made": option(200, "made scenes, and views of made objects"),
         "--step": option(2, "take every so many of the objects"),
         "--seed": option(1, "of the choices"),
     }
-    parser = parser_of("cloud_kind", __doc__, words)
-    arguments = parser.parse_args(argv)
+    arguments = parser_of("cloud_kind", __doc__, words).parse_args(argv)
     rng = np.random.default_rng(arguments.seed)
-    made = {}
-    for _ in range(arguments.made):
-        kind, cloud = scene_cloud(rng)
-        made.setdefault(kind, []).append(cloud)
-    groups = {"objects": (signs(objects(arguments.objects, arguments.step, rng)), False)}
-    rounded = [torus(rng) for _ in range(arguments.made // 4)]
-    groups["rings"] = (signs(rounded), False)
-    groups |= {kind: (signs(clouds), True) for kind, clouds in sorted(made.items())}
-    judging = {}
-    for folder in arguments.scenes:
-        clouds = fragments(folder, arguments.leave_out, rng)
-        groups[str(folder)] = (signs(clouds[False]), True)
-        judging |= {f"{folder}, left out": (signs(clouds[True]), True)} if clouds[True] else {}
-    weights = fit(list(groups.values()))
-    scenes = [rows for name, (rows, _) in groups.items() if name in map(str, arguments.scenes)]
-    scores = score(np.concatenate(scenes or [rows for rows, is_scene in groups.values() if is_scene]), weights)
-    weights[-1] -= np.quantile(scores, 1 - KEPT)
-    print("[" + ", ".join(f"{weight:.4g}" for weight in weights) + "]")
-    for name, (rows, _) in (groups | judging).items():
-        print(f"{name}: {np.mean(score(rows, weights) > 0):.3f} of {len(rows)} are taken for scenes")
+    groups = training_groups(arguments.corpus, arguments.made, arguments.step, rng)
+    rule = fit(list(groups.values()))
+    for values in (rule.mean, rule.deviation, rule.weights):
+        print("[" + ", ".join(f"{value:.4g}" for value in values) + "]")
+    for name, (rows, _) in (groups | judging_groups(arguments.corpus, rng)).items():
+        print(f"{name}: {np.sum(rule.score(rows) > 0)} of {len(rows)} are taken for scenes")
 
 
 if __name__ == "__main__":

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from snake_training.data import bodies, write_corpus
-from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, posed, rotation_by, surface_pair
+from snake_training.data.bodies import annotated, bent, bent_pair, body_pair, posed, surface_pair
 from snake_training.data.shapes import triangles
-from snake_training.data.skeletons import CLASSES, capsule, ellipsoid, toward
+from snake_training.data.skeletons import CLASSES, capsule, ellipsoid
+from snake_training.evaluation.__main__ import evaluate
 from snake_training.make import main
 
 
@@ -124,24 +125,7 @@ def test_a_bent_copy_is_another_shape_and_one_to_one():
     assert 0.2 < (distances[1] / distances[0]).min() and (distances[1] / distances[0]).max() < 3
 
 
-def test_rotations_are_those_of_their_vectors():
-    np.testing.assert_allclose(rotation_by(np.array([0, 0, np.pi / 2])) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-    assert (rotation_by(np.zeros(3)) == np.eye(3)).all()
-    for direction in ((1, 0, 0), (0, 0, -1), (0.3, -0.5, 0.2)):
-        np.testing.assert_allclose(toward(direction)[:, 2], np.array(direction) / np.linalg.norm(direction))
-        assert np.linalg.det(toward(direction)) == pytest.approx(1)
-
-
-def test_a_class_has_the_same_bones_and_patches_at_all_proportions():
-    for shape in CLASSES.values():
-        low, high = shape(np.zeros(bodies.NUM_PROPORTIONS)), shape(np.ones(bodies.NUM_PROPORTIONS))
-        for one, other in zip(low, high, strict=True):
-            assert one.parent == other.parent and len(one.landmarks) == len(other.landmarks)
-            shapes = [[patch.shape for patch in bone.solid.patches] for bone in (one, other)]
-            assert shapes[0] == shapes[1]
-
-
-def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
+def test_the_command_writes_what_the_evaluation_reads(tmp_path):
     cloud = np.random.default_rng(1).normal(size=(300, 3))
     write_corpus(tmp_path / "corpus", [cloud, cloud, cloud], 300)
     index = [{"category": name} for name in ("animal", "chair", "character")]
@@ -150,23 +134,6 @@ def test_the_command_writes_what_eval_semantic_reads(tmp_path, snake_cli):
     main(["bodies", "-o", str(tmp_path / "made"), *words])
     assert [np.load(tmp_path / f"made/bent/body_{body}.npy").shape for body in (1, 2)] == [(4, 256, 3)] * 2
     assert {path.stem for path in (tmp_path / "made/annotated/annotations").glob("*.json")} == set(CLASSES)
-    for name, what in (("annotated", "8 shapes of 8 classes"), ("posed", "8 pairs"), ("bent", "4 pairs")):
-        assert (
-            what
-            in snake_cli(
-                "eval", "semantic", tmp_path / "made" / name, "--methods", "snake,fps", "--threshold", "0.1"
-            ).stdout
-        )
-
-
-def test_what_cannot_be_written_is_refused(tmp_path, capsys):
-    write_corpus(tmp_path / "corpus", [np.random.default_rng(1).normal(size=(300, 3))], 300)
-    few = ["bodies", "-o", str(tmp_path / "made"), "--number", "8", "--points", "256"]
-    for words, said in (
-        ([*few, "--number", "7"], "number must be 8"),
-        ([*few, "--corpus", str(tmp_path / "none")], "none"),
-        ([*few, "--corpus", str(tmp_path / "corpus")], "no shape of the categories animal, character"),
-    ):
-        with pytest.raises(SystemExit):
-            main(words)
-        assert said in capsys.readouterr().err
+    for name, number in (("annotated", 8), ("posed", 8), ("bent", 4)):
+        words = "semantic", tmp_path / "made" / name, "--methods", "fps", "--threshold", "0.1"
+        assert evaluate([*map(str, words)])["unit"].nunique() == number

@@ -9,7 +9,6 @@ import pytest
 from conftest import TINY, arguments
 from snake_training.command_line import parse_arguments
 from snake_training.config import PRESETS, TrainConfig, check, from_json, from_table, to_json
-from snake_training.model import SnakeNetwork
 
 
 @pytest.mark.parametrize("table", [{"step": 3}, {"steps": 3.5}, {"steps": True}, {"data": "folder"}, {"bf16": 1}])
@@ -32,17 +31,6 @@ def test_presets_parse_and_can_be_overridden(preset):
     config = parse_arguments(["--preset", preset], "")[0]
     assert all(getattr(config, name) == value for name, value in PRESETS[preset].items())
     assert parse_arguments(["--batch", "7", "--preset", preset], "")[0] == dataclasses.replace(config, batch=7)
-
-
-def test_the_papers_presets_have_the_papers_figures():
-    paper = parse_arguments(["--preset", "keypointnet"], "")[0]
-    assert sum(p.numel() for p in SnakeNetwork(paper.network).parameters()) == 4_182_658
-    assert (paper.grid_size, paper.grid_fraction, paper.num_grids, paper.num_points) == (8, 8.0, 500, 2048)
-    redwood, registration = (parse_arguments(["--preset", name], "")[0] for name in ("redwood", "3dmatch"))
-    assert (redwood.resolution, redwood.grid_size, redwood.recenter) == (100, 10, True)
-    found = registration.resolution, registration.grid_size, registration.grid_fraction, registration.num_points
-    assert found == (64, 6, 12.0, 2048)
-    assert parse_arguments([], "") == (TrainConfig(), "auto", 0.0, 0)
 
 
 @pytest.mark.parametrize("preset", ["compact", "smpl"])

@@ -1,7 +1,5 @@
 """The list of the corpus, and the folder that is made of clones."""
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
@@ -181,9 +179,3 @@ def test_the_command_makes_prints_and_checks(clones, tmp_path, monkeypatch, caps
         with pytest.raises(SystemExit):
             main(["corpus", *wrong])
         assert said in capsys.readouterr().err
-
-
-def test_the_index_is_that_of_a_corpus(clones, tmp_path):
-    build(listed()[:1], clones, tmp_path)
-    (row,) = json.loads((tmp_path / "train/index.json").read_text())
-    assert set(row) == {"name", "source", "path", "category", "group", "licence", "family", "faces"}

@@ -9,10 +9,8 @@ from snake_training import device
 from snake_training.data import Mixture
 from snake_training.device import (
     choose_device,
-    convolution_seconds,
     has_fast_unet,
     processor_has_fast_bfloat16,
-    why_no_bfloat16,
 )
 from snake_training.tasks.objects import make_batch
 from snake_training.teacher import torch_teacher
@@ -66,10 +64,6 @@ def test_bfloat16_is_timed_once_where_torch_does_not_name_the_instructions(tiny,
     assert sorted(map(str, timed)) == ["torch.bfloat16", "torch.float32"]
 
 
-def test_a_convolution_is_timed_in_both_precisions():
-    assert all(convolution_seconds(dtype) > 0 for dtype in (torch.float32, torch.bfloat16))
-
-
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_teacher_computes_in_the_precision_that_is_fast(network, monkeypatch, fast):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": fast}, raising=False)
@@ -89,10 +83,3 @@ def test_small_volumes_are_in_float32(tiny, monkeypatch, resolution, runs):
     """torch's bfloat16 convolutions of 2 voxels a side read memory that nobody wrote."""
     monkeypatch.setattr(device, "has_fast_bfloat16", lambda _: True)
     assert has_fast_unet(CPU, tiny(resolution=resolution, unet_levels=3).network) is runs
-
-
-def test_the_reason_for_float32_is_the_processor_or_the_volume(monkeypatch):
-    monkeypatch.setattr(device, "has_fast_bfloat16", lambda _: False)
-    assert why_no_bfloat16(CPU) == "this cpu has no fast bfloat16"
-    monkeypatch.setattr(device, "has_fast_bfloat16", lambda _: True)
-    assert why_no_bfloat16(CPU).startswith("below 4 voxels a side at its lowest level")

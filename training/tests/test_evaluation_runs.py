@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from conftest import FOLDER
 from snake_training.data import write_corpus
 from snake_training.data.shapes import Procedural
 from snake_training.evaluation.__main__ import evaluate, main
@@ -17,7 +16,6 @@ from snake_training.evaluation.tables import pivot
 from snake_training.export import write_weights
 from test_official import SMPL, described, fragments, keypointnet, pairs, shape
 
-OBJECTS = FOLDER.parent / "shared/data/objects/val"
 QUICK = ["--downsample", "1", "8", "--noise", "0", "0.06", "--num-points", "300", "--limit", "2"]
 SHIFT = np.eye(4)
 SHIFT[:3, 3] = 5e5, 5e6, 100
@@ -82,31 +80,6 @@ def test_a_file_detects_by_the_options_that_it_recommends(tmp_path, network):
         words = ["repeatability", str(tmp_path), "--methods", str(path), "--downsample", "1", "--noise", "0"]
         counts[radius] = figure(evaluate(words), "keypoints", str(path), "clean")
     assert counts["0.2"] > counts["2.0"] >= 1
-
-
-@pytest.mark.skipif(not OBJECTS.is_dir(), reason=f"no corpus in {OBJECTS}: random keypoints are not calibrated")
-def test_random_keypoints_repeat_as_often_as_they_should_and_iss_more():
-    """By rank; the paper's random subset is much worse."""
-    words = [
-        "repeatability",
-        str(OBJECTS),
-        "--limit",
-        "60",
-        "--downsample",
-        "1",
-        "--noise",
-        "0",
-        "--epsilon",
-        "0.04",
-        "0.1",
-    ]
-    table = evaluate([*words, "--methods", "random", "iss"])
-    paper = evaluate([*words, "--methods", "iss", "--protocol", "paper"])
-    shares = lambda table, method: [figure(table, "repeatability", method, f"ε {e}") for e in ("0.04", "0.1")]
-    assert shares(table, "random") == pytest.approx([0.13, 0.5], abs=0.03)
-    assert abs(figure(table, "beyond chance", "random", "ε 0.04")) < 0.02
-    assert shares(table, "iss") == pytest.approx([0.51, 0.87], abs=0.04)
-    assert shares(paper, "iss") == pytest.approx([0.21, 0.57], abs=0.04)
 
 
 def test_keypoints_of_files_are_found_again_in_far_clouds_too(rooms):

@@ -1,13 +1,10 @@
 """The network against the outputs of the authors' released one, in tests/golden (README.md there)."""
 
 import importlib.util
-import shutil
 from pathlib import Path
 
 import pytest
-import torch
 from safetensors import safe_open
-from safetensors.torch import load_file, save_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GOLDEN = REPOSITORY / "tests" / "golden"
@@ -42,32 +39,3 @@ def test_every_stage_agrees_with_the_released_network(name, capsys):
 )
 def test_the_papers_network_agrees():
     assert generate.main(["--check", str(FULL)]) == 0
-
-
-@pytest.mark.parametrize(
-    ("file", "tensor", "said"),
-    [
-        *(("io", name, f"tiny: {name} differ") for name in ("occupancy", "saliency_grid", "refine_adam_end")),
-        ("io", "scatter_voxels_dhw", ""),
-        ("weights", "encoder.fc_pos.bias", "weights differ"),
-    ],
-)
-def test_a_changed_value_is_noticed(tmp_path, capsys, file, tensor, said):
-    shutil.copytree(GOLDEN / "tiny", tmp_path / "tiny")
-    path = tmp_path / "tiny" / f"{file}.safetensors"
-    stored = load_file(path)
-    with safe_open(path, "pt") as opened:
-        metadata = opened.metadata()
-    if file == "weights":
-        stored[tensor][3] += 1e-6
-    else:
-        stored[tensor] = stored[tensor] + (1 if stored[tensor].dtype == torch.int32 else 1e-3)
-    save_file(stored, path, metadata=metadata)
-    assert generate.main([*(["--check"] if file == "io" else []), str(tmp_path / "tiny")]) == 1
-    assert said in capsys.readouterr().out
-
-
-def test_a_folder_without_golden_files_is_an_error(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        generate.main([str(tmp_path)])
-    assert stop.value.code == 2 and "io.safetensors" in capsys.readouterr().err

@@ -13,7 +13,6 @@ from snake_training.data import Procedural
 from snake_training.losses import (
     loss_options,
     losses_of,
-    masked_mean,
     occupancy_loss,
     repeatability_loss,
     sparsity_loss,
@@ -35,19 +34,9 @@ def test_inside_volume_is_the_padded_cube():
     assert inside_volume(points).tolist() == [True, False, True, False]
 
 
-def test_masked_mean():
-    assert masked_mean(torch.tensor([1.0, 3.0, 100.0]), torch.tensor([True, True, False])) == 2
-    assert masked_mean(torch.tensor([1.0, 3.0]), torch.tensor([False, False])) == 0
-
-
 def test_occupancy_loss_is_cross_entropy():
     value = occupancy_loss(torch.tensor([[0.25, 0.75]]), torch.tensor([1.0, 0.0]))
     assert value.item() == pytest.approx(-math.log(0.25 + 1e-5), rel=1e-6)
-
-
-def test_occupancy_loss_is_bounded_where_the_network_is_certain_and_wrong():
-    value = occupancy_loss(torch.tensor([[0.0, 1.0]]), torch.tensor([1.0, 0.0]))
-    assert value.item() == pytest.approx(-math.log(1e-5), rel=1e-5)
 
 
 def test_repeatability_loss_of_equal_scaled_and_orthogonal_grids():

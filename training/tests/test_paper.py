@@ -5,7 +5,6 @@ import shlex
 
 import pytest
 
-from conftest import FOLDER
 from snake_training import paper
 from snake_training.paper import Programme, main
 from snake_training.paper_tables import ITEMS
@@ -85,28 +84,6 @@ def test_everything_that_is_missing_is_said_at_once_before_anything_runs(data, t
     assert not (tmp_path / "run").exists()
 
 
-def test_single_files_that_are_missing_are_counted(data, tmp_path, snake_cli):
-    moved = [
-        data / name
-        for name in (
-            "modelnet40/modelnet40-test_rotated_numpy/rotated/1.npy", "redwood/numpy_gt_normal/room/1.npy",
-            "d3feat/scene/cloud_bin_2.npz", "keypointnet_pcds/02691156/1abc.pcd",
-        )
-    ]  # fmt: skip
-    held = {path: path.read_bytes() for path in moved}
-    try:
-        for path in moved:
-            path.unlink()
-        with pytest.raises(SystemExit) as stop:
-            main(words(data, tmp_path / "run", snake_cli, "--all"))
-    finally:
-        for path, content in held.items():
-            path.write_bytes(content)
-    said = stop.value.code
-    assert said.count("are missing, such as") == 4 and "1 of 4 are missing" in said and "such as 02691156-1abc" in said
-    assert all(str(path) in said for path in moved[:3])
-
-
 def test_a_list_of_other_shapes_and_an_absent_program_are_said_too(data, tmp_path, snake_cli):
     lists = tmp_path / "lists"
     lists.mkdir()
@@ -161,12 +138,3 @@ def test_what_is_printed_is_what_runs(data, tmp_path, snake_cli, monkeypatch):
 def clean(words):
     """A printed command with its module's short name."""
     return [word.removeprefix("snake_training.") for word in words]
-
-
-def test_the_papers_figures_are_those_of_the_paper():
-    """Where the paper lies beside the repository, each figure of the ablations stands in it."""
-    text = FOLDER.parent / "shared/paper/snake_arxiv.tex.txt"
-    if not text.exists():
-        pytest.skip("the paper's text is not part of the repository: its figures are not compared")
-    figures = {f"{cell.paper:g}" for item in ITEMS.values() for cell in item.cells if cell.paper}
-    assert len(figures) > 20 and [figure for figure in figures if figure not in text.read_text()] == []

@@ -94,13 +94,6 @@ def test_of_several_networks_the_highest_is_the_target():
     assert found == pytest.approx([-3 + 0.5 * 8, 1, -0.5], abs=1e-6)
 
 
-def test_each_network_has_a_scale(tmp_path, network):
-    settings = dataclasses.replace(SMALL, scales=(0.5,))
-    with pytest.raises(ValueError, match="scales must be one for each network, got 1 for 2"):
-        write_targets(tmp_path / "t", [torch_teacher(network)] * 2, Procedural(1, points=200), settings)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
     targets = Targets(file)
     assert len(targets) == 3 and [p.name for p in tmp_path.iterdir()] == [file.name]
@@ -113,13 +106,6 @@ def test_a_file_holds_the_shapes_and_comes_back(file, tmp_path):
     assert first < 1e-4 < second
     assert np.isfinite(target).all() and -3 <= target.min() and target.max() < 5
     assert len(Targets(file, file)) == 6
-
-
-def test_a_network_without_a_surface_is_no_teacher(tmp_path):
-    nowhere = lambda points, queries: (np.zeros(queries.shape[:2]), np.zeros(queries.shape[:2]))
-    with pytest.raises(ValueError, match="no surface"):
-        write_targets(tmp_path / "t", [nowhere], Procedural(1, points=200), SMALL)
-    assert not list(tmp_path.iterdir())
 
 
 def test_another_file_is_refused(tmp_path, network):
@@ -169,16 +155,6 @@ def test_views_show_the_same_places(file):
     assert not np.allclose(*queries, atol=0.01)
     # Half of the queries are from the fifth of highest target.
     assert (sample["target"] >= np.sort(shape[2])[-len(shape[2]) // 5]).mean() >= 0.5
-
-
-def test_the_share_of_degraded_views_is_that_of_the_settings(file):
-    shape = Targets(file).sample(np.random.default_rng(3))
-    distinct = {}
-    for share in (0.0, 1.0):
-        config = TrainConfig(**TINY | {"degraded_share": share})
-        samples = [student_views(shape, config, np.random.default_rng(seed)) for seed in range(20)]
-        distinct[share] = [len(np.unique(view, axis=0)) for sample in samples for view in sample["points"]]
-    assert min(distinct[0.0]) > 90 and max(distinct[1.0]) > 90 and min(distinct[1.0]) < 16
 
 
 def test_degraded_views_are_thinned_or_noisy_or_both():

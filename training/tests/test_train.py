@@ -19,7 +19,7 @@ from snake_training import train as training
 from snake_training.augment import normalize, two_views
 from snake_training.command_line import parse_arguments
 from snake_training.config import from_json
-from snake_training.data import Mixture, Procedural
+from snake_training.data import Procedural
 from snake_training.data.landmarks import landmarks
 from snake_training.detection import DetectOptions, why_none
 from snake_training.export import load_network, read_checkpoint, write_weights
@@ -203,16 +203,6 @@ def test_two_processes_train_like_one(tiny, tmp_path):
         assert logged_two[name][2] == pytest.approx(logged_one[name][2], rel=1e-4, abs=1e-6), name
 
 
-def test_unequal_masks_in_the_two_process_test(tiny):
-    """A premise of the test above: its two halves of a batch differ in the number of grids that count."""
-    config = tiny(batch=4, translation=0.5)
-    counts = []
-    for first in range(0, 8, 2):
-        inside = make_batch(Mixture([], 1.0), config, first, 2)["inside"]
-        counts.append((inside.float().mean(dim=-1) > 0.9).all(dim=1).sum().item())
-    assert counts[0] != counts[1] or counts[2] != counts[3]
-
-
 def test_average_of_weights_follows_and_without_decay_copies(network):
     average = SnakeNetwork(network.config).requires_grad_(False)
     start = [parameter.clone() for parameter in average.parameters()]
@@ -296,11 +286,6 @@ def test_a_gradient_that_is_not_finite_stops_the_run(tiny, tmp_path, network, mo
         train(tiny())
 
 
-def test_missing_data_is_a_clear_error(tiny, tmp_path):
-    with pytest.raises(SystemExit, match="no such folder"):
-        train(tiny(data=(str(tmp_path / "absent"),)))
-
-
 def test_a_new_saliency_begins_at_corners_of_shapes_it_has_not_seen(network):
     before = {name: value.clone() for name, value in network.state_dict().items() if "keypoint" not in name}
     start_saliency(network)
@@ -363,13 +348,6 @@ def test_a_batch_that_does_not_divide_is_refused(tiny, monkeypatch):
         train(tiny(batch=6))
 
 
-@pytest.mark.parametrize("option", ["data", "validation_data"])
-def test_a_file_of_nan_ends_the_run_with_a_line_that_names_it(tiny, tmp_path, option):
-    np.save(tmp_path / "empty.npy", np.full((100, 3), np.nan, np.float32))
-    with pytest.raises(SystemExit, match=r"empty\.npy: needs at least two different finite points; remove that file"):
-        train(tiny(procedural_share=0.0, **{option: (str(tmp_path),)}))
-
-
 def test_an_empty_folder_of_data_is_refused_as_such(tiny, tmp_path):
     """There is no file to remove."""
     (tmp_path / "clouds").mkdir()
@@ -395,12 +373,6 @@ def test_a_run_on_the_gpu(tiny):
 
 
 # A living encoder
-
-
-def test_a_short_run_keeps_the_encoder_alive(tiny):
-    config = tiny(steps=80, learning_rate=1e-2, weight_decay=0.05, clip_norm=1.0)
-    train(config, "cpu")
-    assert dead_share(load_network(config.run_dir)) == 0  # not so with the L2 penalty inside Adam
 
 
 def test_dead_layers_are_counted(network):

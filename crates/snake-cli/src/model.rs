@@ -23,7 +23,7 @@ fn builtin_name(model: &Path) -> Option<&'static str> {
 }
 
 /// The weight file of a path or a name. A name stands for the first file NAME.safetensors in these folders:
-/// SNAKE_MODELS, the program's folder, its subfolder `models`, and `snake-rs` in the user's data folder.
+/// SNAKE_MODELS, the program's folder and its subfolder `models`.
 fn locate(model: &Path) -> Result<PathBuf> {
     let is_name = model.extension().is_none() && model.components().count() == 1 && !model.exists();
     if !is_name {
@@ -34,7 +34,6 @@ fn locate(model: &Path) -> Result<PathBuf> {
         std::env::var_os("SNAKE_MODELS").map(PathBuf::from),
         beside.clone(),
         beside.map(|folder| folder.join("models")),
-        dirs::data_dir().map(|data| data.join("snake-rs")),
     ]
     .into_iter()
     .flatten()

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
-use snake_core::{Builtin, Chooser, Chosen, EncodeOptions, NamedModel, SimdLevel};
+use snake_core::{Builtin, Chooser, Chosen, EncodeOptions, NamedModel, SimdLevel, max_num_threads};
 use snake_registration::RegisterOptions;
 
 use crate::flags::{OF_MODEL, OptionFlags};
@@ -16,17 +16,13 @@ use crate::output::InputFiles;
 use crate::set::SetArguments;
 use crate::{model, terminal};
 
-/// The most threads on a machine with fewer processors: more threads would only wait for each other.
-const MAX_THREADS: usize = 256;
-
 /// Options of every sub-command that runs the network.
 #[derive(Args)]
 pub struct ComputeArguments {
     /// Weight file (.safetensors), or the name of a model. Built in are compact (for objects), standard (for objects,
-    /// better and slower) and scenes (for rooms, LiDAR sweeps and streets). Any
-    /// other NAME is a file NAME.safetensors in SNAKE_MODELS, beside the program or in the user's data folder [default:
-    /// scenes
-    /// for a cloud that looks like a room, a sweep or terrain, else compact].
+    /// better and slower) and scenes (for rooms, LiDAR sweeps and streets). Any other NAME is a file NAME.safetensors in
+    /// SNAKE_MODELS or beside the program [default: scenes for a cloud that looks like a room, a sweep or terrain, else
+    /// compact].
     #[arg(long, value_name = "MODEL", env = "SNAKE_MODEL", hide_env_values = true)]
     pub model: Option<PathBuf>,
     /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
@@ -43,8 +39,8 @@ impl ComputeArguments {
             bail!("snake.toml: no such file is read; give options as flags or by --set, and the model by SNAKE_MODEL");
         }
         if let Some(threads) = self.threads {
-            let most = std::thread::available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-            if threads == 0 || usize::from(threads) > most {
+            let most = max_num_threads();
+            if usize::from(threads) > most {
                 bail!("--threads is {threads}: allowed is 1 to {most}");
             }
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;

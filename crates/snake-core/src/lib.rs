@@ -40,7 +40,6 @@ mod choose;
 mod cloud;
 mod control;
 mod detect;
-mod error;
 mod field;
 #[cfg(test)]
 mod golden;
@@ -57,9 +56,8 @@ pub use builtin::Builtin;
 #[cfg(feature = "builtin-models")]
 pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
-pub use control::{CancelFlag, Control, Counter, Progress, Stage, check_num_threads, parallel_map};
+pub use control::{CancelFlag, Control, Counter, ProcessPool, Progress, Stage, max_num_threads, parallel_map};
 pub use detect::{Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank};
-pub use error::{Error, Result};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
 pub use live::FrameDetector;
@@ -78,6 +76,7 @@ pub use snake_geometry::{
     OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
     SeparateAxes, add_origin, subtract_origin,
 };
+pub use snake_geometry::{Error, Result};
 #[doc(hidden)]
 pub use snake_geometry::{excerpt, is_harmful, printable, setters, shortened, shortened_value};
 pub use snake_kernels::SimdLevel;

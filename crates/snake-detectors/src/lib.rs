@@ -272,7 +272,7 @@ fn check_distinct(points: &[Point]) -> Result<()> {
 /// Indexes a cloud of at least two different finite points.
 fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     check_distinct(points)?;
-    Ok(Neighbors::new(points.iter().map(|&p| vector(p)).collect())?)
+    Neighbors::new(points.iter().map(|&p| vector(p)).collect())
 }
 
 /// A value of each point, unless the call must stop.

@@ -22,6 +22,7 @@ mod clouds;
 mod error;
 mod near;
 mod options;
+mod record;
 mod setters;
 mod source;
 mod subset;
@@ -37,6 +38,7 @@ pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_s
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};
+pub use record::{Record, RecordField, RecordInfo, RecordKind, RecordValue};
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{
     Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, sample, suppress,

@@ -58,7 +58,6 @@ mod atomic;
 mod attributes;
 mod clouds;
 mod crs;
-mod error;
 mod formats;
 mod las;
 mod logs;
@@ -77,12 +76,12 @@ pub use clouds::{
     Contents, ReadOptions, for_each_position, parse_cloud, parse_contents, read_cloud, read_contents, read_points,
 };
 pub use crs::Crs;
-pub use error::{Error, Result};
 pub use formats::{CLOUD_EXTENSIONS, CloudFormat, KEYPOINT_EXTENSIONS, KeypointFormat, POINT_EXTENSIONS, PointFormat};
 pub use las::copc::{Copc, LocalFile, Ranges};
 pub use logs::recording::{RecordedCloud, Recording, is_recording, read_recording};
 pub use poses::{POSE_EXTENSIONS, Poses, read_poses};
 pub use snake_geometry::Cloud;
+pub use snake_geometry::{Error, Result};
 pub use text::columns::{Column, Columns};
 pub use transform::{REGISTRATION_EXTENSIONS, check_registration_path, read_transform, write_registration};
 pub use write::json::keypoint_json;

@@ -46,7 +46,7 @@ pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{PreparedMap, register, register_pair, register_with};
-pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
+pub use result::{CloudReport, Fit, Hypothesis, Matches, RECORDS, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use snake_detectors::Detector;
 pub use steps::describe::describe_keypoints;

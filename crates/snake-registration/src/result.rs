@@ -2,8 +2,25 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_geometry::{Point, RigidTransform, Sensor};
+use snake_geometry::{Point, Record, RecordInfo, RecordKind, RecordValue, RigidTransform, record};
 
+use crate::many::{Alignment, Contradiction, Edge, Pose};
+
+/// The tables of all results, for other languages.
+pub const RECORDS: [&RecordInfo; 10] = [
+    Registration::INFO,
+    Verdict::INFO,
+    Fit::INFO,
+    Matches::INFO,
+    CloudReport::INFO,
+    Hypothesis::INFO,
+    Alignment::INFO,
+    Pose::INFO,
+    Edge::INFO,
+    Contradiction::INFO,
+];
+
+record! {
 /// The result of [`register`](crate::register()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -11,9 +28,8 @@ pub struct Registration {
     /// Maps source points to the target frame: `p_target = R p_source + t`, or
     /// `R (scale p_source) + t` with `scale`.
     pub t_target_source: RigidTransform,
-    /// Factor by which source points are multiplied before `t_target_source`: 1, and not in JSON,
-    /// unless `estimate_scale` is set.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    /// Factor by which source points are multiplied before `t_target_source`: 1 unless
+    /// `estimate_scale` is set.
     pub scale: f64,
     /// Whether the transform can be relied on, and why or why not.
     pub verdict: Verdict,
@@ -29,22 +45,17 @@ pub struct Registration {
     /// Run time in seconds.
     pub seconds: f64,
 }
-
-fn one() -> f64 {
-    1.0
 }
 
-fn is_one(scale: &f64) -> bool {
-    *scale == 1.0
-}
-
+record! {
 /// Whether a transform can be relied on, with the evidence beside [`Fit`] and [`Matches`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Verdict {
     /// How likely the transform is right, 0 to 1.
     pub confidence: f64,
-    /// Whether the transform can be relied on: `confidence` is at least 0.5.
+    /// Whether the transform can be relied on, as the right one of many: `confidence` is at least 0.5. Of rooms
+    /// it is then within 15 degrees and 0.3 m of the truth; the last digits depend on the noise.
     pub is_reliable: bool,
     /// Whether the clouds leave more than one answer: the overlap leaves directions of motion open,
     /// as a plane, a cylinder or a sphere does, or another transform fits about as well, as on
@@ -73,7 +84,9 @@ pub struct Verdict {
     /// through to a farther surface; 0 if the sensors are not known.
     pub free_space_violation: f64,
 }
+}
 
+record! {
 /// How well two clouds fit under a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -98,7 +111,9 @@ pub struct Fit {
     /// the distance to the tangent plane.
     pub information: [[f64; 6]; 6],
 }
+}
 
+record! {
 /// The matches of keypoints, and how many agree with a transform.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -123,21 +138,28 @@ pub struct Matches {
     #[serde(skip)]
     pub pairs: Vec<[Point; 2]>,
 }
+}
 
+record! {
 /// What was used of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct CloudReport {
     /// The viewpoint that gave the normals their signs.
     pub viewpoint: ViewpointUsed,
-    /// The sensor at that viewpoint, in the cloud's frame; `None` without one.
+    /// Position of the sensor, in the cloud's frame and units; none without a viewpoint.
     #[serde(default)]
-    pub sensor: Option<Sensor>,
+    pub position: Option<[f64; 3]>,
+    /// Share of the points, 0 to 1, that nothing hides from there.
+    #[serde(default)]
+    pub visible: Option<f64>,
     /// Number of points that were skipped because they are not finite, are outliers or stand for
     /// missing returns.
     pub num_skipped: usize,
 }
+}
 
+record! {
 /// A transform with the figures that ranked it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -153,6 +175,7 @@ pub struct Hypothesis {
     /// sharp.
     pub free_space_violation: f64,
 }
+}
 
 /// The viewpoint that gave a cloud's normals their signs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -166,6 +189,12 @@ pub enum ViewpointUsed {
     Origin,
     /// None: normals have no sign.
     None,
+}
+
+impl RecordValue for ViewpointUsed {
+    fn kind() -> RecordKind {
+        RecordKind::Text
+    }
 }
 
 impl ViewpointUsed {
@@ -215,8 +244,7 @@ impl Registration {
         let source = source.map(|v| self.scale * v);
         self.t_target_source = self.t_target_source.add_origins(source, target);
         for (cloud, origin) in self.clouds.iter_mut().zip([source, target]) {
-            let position = cloud.sensor.iter_mut().flat_map(|sensor| &mut sensor.position);
-            position.zip(origin).for_each(|(v, origin)| *v += origin);
+            cloud.position.iter_mut().flatten().zip(origin).for_each(|(v, origin)| *v += origin);
         }
         for hypothesis in &mut self.hypotheses {
             hypothesis.t_target_source = hypothesis.t_target_source.add_origins(source, target);

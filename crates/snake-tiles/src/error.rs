@@ -10,20 +10,9 @@ use crate::plan::Tile;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The model refuses its options or a tile.
+    /// An input or a file of the run's folder cannot be read or written, or the model refuses its options or a tile.
     #[error(transparent)]
     Core(#[from] snake_core::Error),
-    /// An input file cannot be read.
-    #[error(transparent)]
-    Input(#[from] snake_io::Error),
-    /// A file of the run's folder cannot be read or written.
-    #[error("{}: {source}", shortened_value(&path.display()))]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The error of the operating system.
-        source: std::io::Error,
-    },
     /// A file of the run's folder has another content than the run wrote.
     #[error("{}: {}", shortened_value(&path.display()), shortened(reason))]
     Damaged {
@@ -50,12 +39,6 @@ pub enum Error {
     },
 }
 
-impl From<snake_geometry::Error> for Error {
-    fn from(error: snake_geometry::Error) -> Self {
-        Self::Core(error.into())
-    }
-}
-
 /// A result with the crate's [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -63,7 +46,7 @@ impl Error {
     /// The error of a file of the run's folder.
     pub(crate) fn file(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |source| Self::File { path, source }
+        move |source| Self::Core(snake_core::Error::Io { path, source })
     }
 
     /// The error of a file that the run did not leave like this.

@@ -48,7 +48,7 @@ impl TiledRun {
     /// The keypoints of all tiles: the bits of [`snake_core::Model::detect`].
     ///
     /// # Errors
-    /// [`Error::Missing`] when not all tiles are detected; [`Error::File`] and [`Error::Damaged`] for the files of the
+    /// [`Error::Missing`] when not all tiles are detected; [`Error::Core`] and [`Error::Damaged`] for the files of the
     /// folder; [`snake_core::Error::Cancelled`] and the like.
     pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
         let detected = self.detected()?;
@@ -82,7 +82,7 @@ impl TiledRun {
     /// Looks at the candidates in the folder, once all tiles are detected.
     ///
     /// # Errors
-    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed it.
+    /// [`Error::Core`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed it.
     pub fn detected(&self) -> Result<Detected> {
         let (mut summaries, mut counts) = (Vec::new(), Counts::default());
         let (there, missing): (Vec<Tile>, _) = self.tiles().iter().partition(|tile| self.is_detected(tile));

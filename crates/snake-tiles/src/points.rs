@@ -88,7 +88,7 @@ impl<'a> PointWriter<'a> {
 /// Calls `found` with each point of a tile and its index.
 ///
 /// # Errors
-/// [`Error::File`], and [`Error::Damaged`] at the end of a file that has another number of points than the tile.
+/// [`Error::Core`], and [`Error::Damaged`] at the end of a file that has another number of points than the tile.
 pub(crate) fn for_each_point(folder: &RunFolder, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
     let path = folder.path.join(name(tile.place));
     let mut file = File::open(&path).map_err(Error::file(&path))?;

@@ -36,8 +36,8 @@ impl TiledRun {
     /// # Errors
     /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, for
     /// files of different coordinate reference systems, for a folder with another run or with files that no run wrote, and for
-    /// inputs that change while they are read; [`Error::Input`] when no file can be read; [`Error::File`] when the folder cannot be
-    /// written; [`Error::Core`] when the voxel size does not suit the cloud.
+    /// inputs that change while they are read; [`Error::Core`] when no file can be read, when the folder cannot be written, or
+    /// when the voxel size does not suit the cloud.
     pub fn prepare(
         mut detector: TileDetector,
         files: &[PathBuf],
@@ -108,7 +108,7 @@ impl TiledRun {
     /// files of the cloud are only needed when they are COPC files.
     ///
     /// # Errors
-    /// [`Error::File`] without such a run; [`Error::Refused`] for another model, other options or another version.
+    /// [`Error::Core`] without such a run; [`Error::Refused`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
         let folder = RunFolder::open(folder)?;
         let plan = Plan::open(&folder, &detector.settings())?;
@@ -127,7 +127,7 @@ impl TiledRun {
     /// Removes the files of the run, and the folder if a run made it. Returns the files that no run wrote, which stay.
     ///
     /// # Errors
-    /// [`Error::File`] when a file cannot be removed.
+    /// [`Error::Core`] when a file cannot be removed.
     pub fn remove(self) -> Result<Vec<PathBuf>> {
         self.folder.remove(self.plan.names())
     }
@@ -183,7 +183,7 @@ impl TiledRun {
     /// Finds the candidates of a tile and writes them to the folder, unless they are there.
     ///
     /// # Errors
-    /// [`Error::File`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed
+    /// [`Error::Core`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed
     /// it; [`Error::Core`] as of [`snake_core::Model::detect_with`].
     pub fn detect(&self, tile: &Tile, control: &Control) -> Result<()> {
         if self.is_detected(tile) {

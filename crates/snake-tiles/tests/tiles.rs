@@ -225,7 +225,7 @@ fn folders_of_others_are_refused_and_only_files_of_the_run_removed() {
         assert_eq!(content(&own), [(own.join(name), b"mine".to_vec())]);
     }
     fs::write(path("file"), "mine").unwrap();
-    assert!(matches!(begin(&scan, &path("file")), Err(Error::File { .. })));
+    assert!(matches!(begin(&scan, &path("file")), Err(Error::Core(_))));
     assert_eq!(fs::read(path("file")).unwrap(), b"mine");
 
     // What others write into the folder of a run stays, and so does a folder that was there before.

@@ -1,135 +1,21 @@
-"""The figures of the SNAKE paper (NeurIPS 2022), to stand beside ours.
+"""The figures of the SNAKE paper (NeurIPS 2022), to stand beside ours; `published.csv` has a row a curve, and values and figures by spaces."""
 
-A table is (metric, condition, the values of the condition, {method: figures}).
-"""
+from pathlib import Path
+
+import pandas as pd
 
 THRESHOLDS = tuple(hundredth / 100 for hundredth in range(11))
 BEST = (2500, 1000, 500, 250, 100)
 
-MODELNET40 = (
-    ("repeatability", "ε {:g}", (0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.1), {
-        "snake": (0.763, 0.864, 0.897, 0.91, 0.917, 0.923, 0.927, 0.93),
-        "iss": (0.058, 0.096, 0.14, 0.192, 0.247, 0.306, 0.367, 0.427),
-        "harris3d": (0.056, 0.096, 0.147, 0.21, 0.277, 0.347, 0.415, 0.48),
-        "sift3d": (0.055, 0.092, 0.138, 0.191, 0.249, 0.308, 0.369, 0.429),
-        "random": (0.056, 0.094, 0.14, 0.191, 0.249, 0.308, 0.368, 0.429),
-        "usip": (0.771, 0.799, 0.815, 0.827, 0.836, 0.844, 0.851, 0.857),
-    }),
-    ("repeatability", "ε 0.04, 1 in {:g}", (1, 2, 4, 8, 16), {
-        "snake": (0.864, 0.851, 0.82, 0.73, 0.528),
-        "iss": (0.096, 0.088, 0.088, 0.083, 0.076),
-        "harris3d": (0.096, 0.093, 0.093, 0.093, 0.092),
-        "sift3d": (0.092, 0.089, 0.087, 0.082, 0.075),
-        "random": (0.094, 0.093, 0.093, 0.091, 0.092),
-        "usip": (0.799, 0.748, 0.685, 0.554, 0.321),
-    }),
-    ("repeatability", "ε 0.04, σ {:g}", (0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12), {
-        "snake": (0.864, 0.869, 0.841, 0.766, 0.619, 0.464, 0.354),
-        "iss": (0.096, 0.061, 0.037, 0.025, 0.02, 0.016, 0.015),
-        "harris3d": (0.096, 0.063, 0.038, 0.029, 0.02, 0.015, 0.015),
-        "sift3d": (0.092, 0.06, 0.036, 0.025, 0.019, 0.016, 0.014),
-        "random": (0.094, 0.062, 0.038, 0.027, 0.021, 0.016, 0.014),
-        "usip": (0.799, 0.872, 0.844, 0.746, 0.558, 0.341, 0.192),
-    }),
-)  # fmt: skip
-# Beside UKPGAN, in the units of the files.
-KEYPOINTNET_VIEWS = (
-    ("repeatability", "ε {:g}", (0.03, 0.05, 0.07, 0.09, 0.1), {
-        "snake": (0.643, 0.806, 0.892, 0.936, 0.948),
-        "ukpgan": (0.199, 0.454, 0.661, 0.81, 0.864),
-    }),
-    ("repeatability", "ε 0.03, 1 in {:g}", (1, 4, 8), {
-        "snake": (0.643, 0.594, 0.525),
-        "ukpgan": (0.199, 0.57, 0.427),
-    }),
-    ("repeatability", "ε 0.03, σ {:g}", (0, 0.02, 0.03), {
-        "snake": (0.643, 0.626, 0.536),
-        "ukpgan": (0.199, 0.608, 0.558),
-    }),
-)  # fmt: skip
-REDWOOD = (
-    ("repeatability", "ε {:g}", (0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.22, 0.24), {
-        "snake": (0.205, 0.246, 0.286, 0.323, 0.359, 0.393, 0.425, 0.454),
-        "iss": (0.087, 0.119, 0.156, 0.191, 0.228, 0.264, 0.301, 0.336),
-        "harris3d": (0.079, 0.109, 0.14, 0.175, 0.209, 0.243, 0.278, 0.31),
-        "sift3d": (0.088, 0.123, 0.168, 0.21, 0.254, 0.297, 0.33, 0.367),
-        "random": (0.09, 0.126, 0.163, 0.204, 0.246, 0.287, 0.326, 0.362),
-        "usip": (0.255, 0.285, 0.314, 0.342, 0.368, 0.392, 0.417, 0.439),
-    }),
-    ("repeatability", "ε 0.2, 1 in {:g}", (1, 2, 4, 8, 16), {
-        "snake": (0.393, 0.394, 0.391, 0.381, 0.362),
-        "iss": (0.264, 0.277, 0.158, 0.067, 0.021),
-        "harris3d": (0.243, 0.288, 0.285, 0.292, 0.286),
-        "sift3d": (0.297, 0.286, 0.28, 0.271, 0.22),
-        "random": (0.287, 0.289, 0.291, 0.292, 0.287),
-        "usip": (0.392, 0.388, 0.377, 0.351, 0.313),
-    }),
-    ("repeatability", "ε 0.2, σ {:g}", (0, 0.02, 0.04, 0.06, 0.08, 0.1), {
-        "snake": (0.393, 0.392, 0.381, 0.359, 0.318, 0.256),
-        "iss": (0.264, 0.26, 0.268, 0.259, 0.25, 0.214),
-        "harris3d": (0.243, 0.239, 0.225, 0.206, 0.193, 0.178),
-        "sift3d": (0.297, 0.289, 0.27, 0.261, 0.241, 0.217),
-        "random": (0.287, 0.289, 0.275, 0.252, 0.23, 0.21),
-        "usip": (0.392, 0.386, 0.375, 0.341, 0.317, 0.295),
-    }),
-)  # fmt: skip
-KEYPOINTNET = (
-    ("mIoU, as released", "threshold {:g}", THRESHOLDS, {
-        "snake": (0.006, 0.012, 0.025, 0.039, 0.058, 0.091, 0.144, 0.214, 0.291, 0.361, 0.412),
-        "iss": (0.008, 0.012, 0.024, 0.04, 0.06, 0.088, 0.121, 0.16, 0.198, 0.242, 0.286),
-        "harris3d": (0.005, 0.01, 0.014, 0.023, 0.04, 0.06, 0.084, 0.11, 0.15, 0.18, 0.216),
-        "sift3d": (0.005, 0.01, 0.015, 0.022, 0.043, 0.065, 0.089, 0.12, 0.16, 0.189, 0.221),
-        "random": (0.005, 0.01, 0.017, 0.02, 0.023, 0.026, 0.028, 0.032, 0.036, 0.042, 0.049),
-        "usip": (0.003, 0.006, 0.013, 0.024, 0.045, 0.078, 0.116, 0.16, 0.212, 0.264, 0.314),
-        "ukpgan": (0.005, 0.009, 0.021, 0.036, 0.059, 0.084, 0.114, 0.147, 0.179, 0.207, 0.238),
-    }),
-)  # fmt: skip
-SMPL = (
-    ("mIoU, as released", "threshold {:g}", THRESHOLDS, {
-        "snake": (0.063, 0.079, 0.094, 0.128, 0.182, 0.255, 0.355, 0.457, 0.557, 0.639, 0.704),
-        "iss": (0.078, 0.095, 0.101, 0.113, 0.129, 0.148, 0.174, 0.206, 0.231, 0.258, 0.293),
-        "harris3d": (0.012, 0.013, 0.016, 0.021, 0.032, 0.047, 0.065, 0.097, 0.129, 0.159, 0.187),
-        "sift3d": (0.009, 0.011, 0.016, 0.026, 0.043, 0.064, 0.084, 0.108, 0.146, 0.183, 0.213),
-        "random": (0.008, 0.011, 0.015, 0.021, 0.038, 0.056, 0.075, 0.103, 0.136, 0.161, 0.195),
-        "usip": (0.037, 0.043, 0.051, 0.081, 0.129, 0.198, 0.278, 0.338, 0.39, 0.44, 0.492),
-        "ukpgan": (0.036, 0.041, 0.059, 0.085, 0.126, 0.171, 0.235, 0.302, 0.369, 0.424, 0.476),
-    }),
-)  # fmt: skip
-# With the descriptors of D3Feat.
-THREE_D_MATCH = (
-    ("feature matching recall", "best {:g}", BEST, {
-        "snake d3feat": (0.955, 0.95, 0.947, 0.929, 0.895),
-        "iss d3feat": (0.952, 0.944, 0.934, 0.901, 0.81),
-        "sift3d d3feat": (0.949, 0.94, 0.93, 0.912, 0.813),
-        "random d3feat": (0.951, 0.945, 0.928, 0.9, 0.812),
-        "ukpgan d3feat": (0.947, 0.942, 0.935, 0.926, 0.859),
-        "d3feat d3feat": (0.956, 0.945, 0.943, 0.933, 0.906),
-    }),
-    ("inlier ratio", "best {:g}", BEST, {
-        "snake d3feat": (0.413, 0.39, 0.37, 0.335, 0.3),
-        "iss d3feat": (0.382, 0.335, 0.288, 0.239, 0.174),
-        "sift3d d3feat": (0.384, 0.336, 0.288, 0.233, 0.174),
-        "random d3feat": (0.386, 0.336, 0.289, 0.236, 0.173),
-        "ukpgan d3feat": (0.388, 0.355, 0.34, 0.331, 0.277),
-        "d3feat d3feat": (0.406, 0.427, 0.441, 0.45, 0.456),
-    }),
-    ("registration recall", "best {:g}", BEST, {
-        "snake d3feat": (0.851, 0.837, 0.812, 0.746, 0.509),
-        "iss d3feat": (0.835, 0.792, 0.76, 0.643, 0.372),
-        "sift3d d3feat": (0.84, 0.799, 0.761, 0.609, 0.386),
-        "random d3feat": (0.83, 0.8, 0.77, 0.655, 0.388),
-        "ukpgan d3feat": (0.828, 0.814, 0.771, 0.697, 0.474),
-        "d3feat d3feat": (0.844, 0.849, 0.825, 0.793, 0.672),
-    }),
-)  # fmt: skip
-VIEWS = {"object": MODELNET40, "annotated": KEYPOINTNET_VIEWS, "room": REDWOOD}
 
+def published(data):
+    """The rows of the long table, of methods "snake (paper)" and so on.
 
-def published(tables):
-    """The rows of the long table, of methods "snake (paper)" and so on."""
+    data: object, room and annotated (beside UKPGAN, in the units of the files) for repeatability, keypointnet, smpl, 3dmatch.
+    """
+    table = pd.read_csv(Path(__file__).with_name("published.csv"))
     return [
-        (metric, f"{method} (paper)", condition.format(value), "paper", figure)
-        for metric, condition, values, rows in tables
-        for method, figures in rows.items()
-        for value, figure in zip(values, figures, strict=True)
+        (row.metric, f"{row.method} (paper)", row.condition.format(float(value)), "paper", float(figure))
+        for row in table[table["data"] == data].itertuples()
+        for value, figure in zip(row.given.split(), row.figures.split(), strict=True)
     ]

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from .datasets import apart_note, open_semantic, open_views, read_cloud
 from .methods import ALL, CLASSICAL, OWN, methods_of
-from .published import KEYPOINTNET, SMPL, THRESHOLDS, VIEWS, published
+from .published import THRESHOLDS, published
 from .repeatability import coverage as coverage_of
 from .repeatability import (
     radius_of_coverage,
@@ -37,7 +37,7 @@ SETTINGS = {
 }
 
 
-def by_method(metric, methods, output, settings, rows, paper=()):
+def by_method(metric, methods, output, settings, rows, paper=None):
     """The tables of all methods below each other, then the paper's; rows: method -> rows of the table."""
     tables = []
     for method in methods:
@@ -125,7 +125,7 @@ def repeatability(
         "noise": noise, "num_points": number, "max_keypoints": max_keypoints, "nms_radius": nms_radius, "coverage": coverage,
         "limit": limit, "seed": seed,
     }  # fmt: skip
-    return by_method("repeatability", methods, output, settings, figures, VIEWS[views.scale] if paper else ())
+    return by_method("repeatability", methods, output, settings, figures, views.scale if paper else None)
 
 
 def warn(note):
@@ -202,5 +202,5 @@ def semantic(
         "data": str(data), "split": str(split), "threshold": list(threshold), "max_keypoints": max_keypoints, "nms_radius": nms_radius,
         "coverage": coverage, "limit": limit, "seed": seed,
     }  # fmt: skip
-    theirs = (SMPL if are_bodies else KEYPOINTNET) if paper else ()
+    theirs = ("smpl" if are_bodies else "keypointnet") if paper else None
     return by_method("semantic", methods, output, settings, figures, theirs)

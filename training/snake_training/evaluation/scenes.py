@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from .datasets import apart_note, open_scenes, read_cloud, without_ending
 from .methods import CLASSICAL, OWN, methods_of, read_keypoints
-from .published import BEST, THREE_D_MATCH
+from .published import BEST
 from .registration import (
     feature_matching_recall,
     information_matrix,
@@ -150,7 +150,7 @@ def registration(
         "data": str(data), "descriptors": list(descriptors), "max_keypoints": list(max_keypoints), "nms_radius": nms_radius, "limit": limit,
         "seed": seed,
     }  # fmt: skip
-    return by_method("registration", methods, output, settings, figures, THREE_D_MATCH if paper else ())
+    return by_method("registration", methods, output, settings, figures, "3dmatch" if paper else None)
 
 
 def registered(source, target, options):

@@ -129,7 +129,7 @@ fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
 /// Whether the disk has no room for further tiles.
 fn is_full(error: &Error) -> bool {
     let full = [ErrorKind::StorageFull, ErrorKind::QuotaExceeded, ErrorKind::FileTooLarge];
-    matches!(error, Error::File { source, .. } if full.contains(&source.kind()))
+    matches!(error, Error::Core(snake_core::Error::Io { source, .. }) if full.contains(&source.kind()))
 }
 
 /// An error of the run, with the advice to repeat it if the disk is full.

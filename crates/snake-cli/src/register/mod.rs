@@ -7,7 +7,6 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use snake_core::{Control, Error, Progress, RigidTransform};
-use snake_geometry::Sensor;
 use snake_io::{self as io, Attributes, Cloud, CloudFormat};
 use snake_registration::{Registration, register_with, transform_points};
 use snake_view::RegistrationPage;
@@ -135,12 +134,12 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
         fit.rmse / fit.voxel_size,
         fit.voxel_size
     ));
-    let used = clouds.map(|cloud| match cloud.sensor {
-        Some(Sensor { position: [x, y, z], visible }) => {
+    let used = clouds.map(|cloud| match (cloud.position, cloud.visible) {
+        (Some([x, y, z]), Some(visible)) => {
             let name = cloud.viewpoint.name();
             format!("{name} at ({x:.2}, {y:.2}, {z:.2}), which sees {:.0} % of the points", 100.0 * visible)
         }
-        None => "unknown".into(),
+        _ => "unknown".into(),
     });
     let violation = 100.0 * verdict.free_space_violation;
     report.line(format!("viewpoints: {}; {}; {violation:.1} % of the voxels in free space", used[0], used[1]));

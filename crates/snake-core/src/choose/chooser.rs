@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use serde_json::{Map, Value};
 
 use super::cloud_note::cloud_note;
-use super::rule::{by_cloud, by_options, note_of_doubt};
+use super::rule::{by_cloud, by_options};
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::control::clock::Instant;
@@ -145,13 +145,17 @@ impl Chooser {
 
     fn choose<'a>(&self, points: &'a [Point], origin: [f64; 3]) -> Result<Chosen<'a>> {
         let cloud = UsedCloud::new(points)?;
+        let suited = || by_cloud(&cloud, origin.map(|v| -v));
         let builtin = |which, by, note| (Some(which), self.named_builtin(which), by, note);
         let (which, NamedModel { model, name, options }, by, note) = match (&self.named, self.by_option) {
             (Some(named), _) => (None, named.clone(), ChosenBy::Name, None),
             (None, Some((option, which))) => {
-                builtin(which, ChosenBy::Option(option), note_of_option(option, which, by_cloud(&cloud)))
+                builtin(which, ChosenBy::Option(option), note_of_option(option, which, suited().0))
             }
-            (None, None) => builtin(by_cloud(&cloud), ChosenBy::Cloud, note_of_doubt(&cloud)),
+            (None, None) => {
+                let (which, note) = suited();
+                builtin(which, ChosenBy::Cloud, note)
+            }
         };
         let (cloud, origin) = placed(cloud, points, origin, options.encode.normalization)?;
         Ok(Chosen { which, model, name, options, by, note, cloud, origin })

@@ -4,21 +4,32 @@ use serde_json::{Map, Value};
 
 use super::few_voxels;
 use crate::Builtin;
-use crate::cloud::{NUM_SIGNS, UsedCloud};
+use crate::cloud::{NUM_SIGNS, UsedCloud, scene_signs};
 use snake_geometry::Point;
 
-/// The weight of each of [`scene_signs`](crate::scene_signs), of the square of each, and that of one.
-const WEIGHTS: ([f64; NUM_SIGNS], [f64; NUM_SIGNS], f64) = (
-    [-123.3, 8.272, 1.518, 0.4191, -0.2706, 3.505, 3.414, -4.734],
-    [-169.3, -4.197, -0.1518, -3.115, -0.04307, 0.5688, 0.5446, -265.7],
-    -6.797,
-);
+/// The mean of each of [`scene_signs`], and its deviation, in units of which it is weighed up to [`LIMIT`].
+const MEANS: [f64; NUM_SIGNS] =
+    [0.02078, 0.1099, 0.2712, 2.061, 0.1927, 0.9403, 0.09717, 0.02572, 0.006575, 0.02325, 0.2284, -0.06675];
+const DEVIATIONS: [f64; NUM_SIGNS] =
+    [0.02868, 0.06186, 0.06545, 0.5759, 0.1816, 0.1304, 0.1279, 0.02794, 0.02525, 0.1018, 0.1259, 0.1364];
+const LIMIT: f64 = 3.0;
+
+/// The weights of the scaled signs, of the products of each with those before it and itself, and of one.
+const WEIGHTS: [f64; NUM_SIGNS + NUM_SIGNS * (NUM_SIGNS + 1) / 2 + 1] = [
+    -0.467, 1.072, 0.5349, 0.6373, 0.8527, -0.5983, 0.8783, -0.7293, -1.417, -0.7845, 1.621, 0.7234, -0.4249, 0.1723,
+    -1.392, -0.7696, -0.2556, -1.063, -0.2194, 0.309, 0.1336, 0.06973, 0.856, -0.464, 0.03062, 0.2806, -0.3571,
+    -0.08037, -0.1864, 0.8376, -0.4605, -0.07088, -0.2653, 1.354, -0.02165, -0.2731, -0.4026, -0.1721, -0.4937, 0.4746,
+    -0.1895, 0.3754, 0.2626, -0.38, -1.025, -0.1173, -1.024, -0.7964, -0.2244, 0.002406, -0.2077, -0.05789, -0.6532,
+    0.1006, 0.1483, -0.3413, -0.2098, 0.1567, -0.1353, 0.2448, -0.1612, 0.6648, -0.1477, -0.2958, 1.057, -0.187,
+    -0.04945, -0.292, 0.09254, -0.1493, 0.4302, -0.1862, -0.4929, -0.5269, -0.4543, 0.1647, -0.04063, -0.5501, -0.225,
+    0.5045, 0.3692, -0.06265, 0.8872, -0.09023, -0.562, 0.3628, -0.5487, 0.3565, -0.04822, -0.9055, 1.641,
+];
 
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
-const DOUBT: f64 = 0.5;
+const DOUBT: f64 = 1.5;
 
-/// Clouds whose second scene sign, the breadth of surroundings, is at most this are wires or curves, never scenes.
-const CURVE: f64 = 0.2;
+/// Clouds whose surroundings are at most this broad are wires or curves, never scenes.
+const CURVE: f64 = 0.15;
 
 /// The given option that only one kind of model has, and the built-in model of that kind. An option that is off does not
 /// count.
@@ -35,48 +46,44 @@ pub(super) fn by_options(values: &Map<String, Value>) -> Option<(&'static str, B
     rotations.filter(|&number| number > 1).map(|_| ("rotations", Builtin::Compact))
 }
 
-/// The built-in model for a cloud.
-pub(super) fn by_cloud(cloud: &UsedCloud) -> Builtin {
-    let is_scene = cloud.is_sweep() || scene_score(cloud) > 0.0 || few_voxels::note(cloud).is_some();
-    if is_scene { Builtin::Scenes } else { Builtin::Compact }
-}
-
-/// The note on a cloud of which an object's voxels show little, and on one that looks about as much like a scene as like an object.
-pub(super) fn note_of_doubt(cloud: &UsedCloud) -> Option<String> {
+/// The built-in model for a cloud, and a note if it looks about as much like a scene as like an object. `viewpoint` is where its
+/// sensor may have stood.
+pub(super) fn by_cloud(cloud: &UsedCloud, viewpoint: [f64; 3]) -> (Builtin, Option<String>) {
     if let Some(note) = few_voxels::note(cloud) {
-        return Some(note);
+        return (Builtin::Scenes, Some(note));
     }
-    if cloud.is_sweep() || scene_score(cloud).abs() > DOUBT {
-        return None;
-    }
-    let (kind, other, named) = match by_cloud(cloud) {
-        Builtin::Scenes => ("a scene", "one object", Builtin::Compact),
-        Builtin::Compact => ("one object", "a scene", Builtin::Scenes),
+    let score = if cloud.is_sweep() { f64::INFINITY } else { scene_score(cloud.points(), viewpoint) };
+    let (which, kind, named, other) = if score > 0.0 {
+        (Builtin::Scenes, "a scene", Builtin::Compact, "one object")
+    } else {
+        (Builtin::Compact, "one object", Builtin::Scenes, "a scene")
     };
-    Some(format!(
-        "the cloud is taken for {kind}, though not clearly; if it is {other}, name the model `{}`",
-        named.name()
-    ))
+    let note = || {
+        let name = named.name();
+        format!("the cloud is taken for {kind}, though not clearly; if it is {other}, name the model `{name}`")
+    };
+    (which, (score.abs() <= DOUBT).then(note))
 }
 
 /// By how much a cloud looks like a scene and not like one object: the log-odds, negative for objects.
-fn scene_score(cloud: &UsedCloud) -> f64 {
-    let Some(signs) = cloud.scene_signs() else { return f64::NEG_INFINITY };
-    let [_, broad, ..] = &signs;
+fn scene_score(points: &[Point], viewpoint: [f64; 3]) -> f64 {
+    let Some(signs) = scene_signs(points, viewpoint) else { return f64::NEG_INFINITY };
+    let [_, _, broad, ..] = &signs;
     if *broad <= CURVE {
         return f64::NEG_INFINITY;
     }
-    let (linear, square, constant) = &WEIGHTS;
-    let weighed = signs.iter().zip(linear).zip(square).map(|((sign, linear), square)| sign * (linear + sign * square));
-    weighed.sum::<f64>() + constant
+    let scaled: [f64; NUM_SIGNS] =
+        std::array::from_fn(|i| ((signs[i] - MEANS[i]) / DEVIATIONS[i]).clamp(-LIMIT, LIMIT));
+    let products = (0..NUM_SIGNS).flat_map(|i| (0..=i).map(move |j| scaled[i] * scaled[j]));
+    scaled.into_iter().chain(products).chain([1.0]).zip(WEIGHTS).map(|(column, weight)| column * weight).sum()
 }
 
 impl Builtin {
     /// The model for a cloud `(N, 3)` in any unit: [`Builtin::Scenes`] if it looks like the sweep of a sensor in its midst, or
-    /// like a room, a street or terrain by its [`scene_signs`](crate::scene_signs); else [`Builtin::Compact`]. A
-    /// [`Chooser`](crate::Chooser) also looks at the options.
+    /// like a room, a street or terrain by its [`scene_signs`]; else [`Builtin::Compact`]. A [`Chooser`](crate::Chooser) also
+    /// looks at the options.
     pub fn for_cloud(points: &[Point]) -> Self {
-        UsedCloud::new(points).map_or(Self::Compact, |cloud| by_cloud(&cloud))
+        UsedCloud::new(points).map_or(Self::Compact, |cloud| by_cloud(&cloud, [0.0; 3]).0)
     }
 }
 
@@ -85,7 +92,7 @@ pub(super) mod tests {
     use super::*;
 
     fn is_scene(points: &[Point]) -> bool {
-        scene_score(&UsedCloud::new(points).unwrap()) > 0.0
+        scene_score(points, [0.0; 3]) > 0.0
     }
 
     /// Points on a box about the origin, of any half size.
@@ -108,6 +115,79 @@ pub(super) mod tests {
         let (sin, cos) = angle.sin_cos();
         let rotated = |p: Point| [cos * p[0] - sin * p[1], sin * p[0] + cos * p[1], p[2]].map(|v| v * unit);
         walls.chain(boxes).map(rotated).collect()
+    }
+
+    /// A box or an ellipsoid: its center, half its size, and whether it is a box.
+    type Solid = ([f64; 3], [f64; 3], bool);
+
+    /// The distance at which a ray meets a solid.
+    fn reach(eye: [f64; 3], ray: [f64; 3], (center, half, is_box): &Solid) -> Option<f64> {
+        let o: [f64; 3] = std::array::from_fn(|axis| (eye[axis] - center[axis]) / half[axis]);
+        let d: [f64; 3] = std::array::from_fn(|axis| ray[axis] / half[axis]);
+        if *is_box {
+            let ends = [0, 1, 2].map(|axis| [(-1.0 - o[axis]) / d[axis], (1.0 - o[axis]) / d[axis]]);
+            let enter = ends.iter().map(|[a, b]| a.min(*b)).fold(f64::NEG_INFINITY, f64::max);
+            let leave = ends.iter().map(|[a, b]| a.max(*b)).fold(f64::INFINITY, f64::min);
+            return (enter > 0.0 && enter < leave).then_some(enter);
+        }
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let root = (dot(o, d).powi(2) - dot(d, d) * (dot(o, o) - 1.0)).sqrt();
+        Some((-dot(o, d) - root) / dot(d, d)).filter(|t| *t > 0.0)
+    }
+
+    /// A depth image of 90 x 90 pixels from an eye toward the origin, in a camera's frame but for a rotation.
+    fn depth_image(solids: &[Solid], eye: [f64; 3], half_angle: f64, unit: f64) -> Vec<Point> {
+        let forward = nalgebra::Vector3::from(eye.map(|v| -v)).normalize();
+        let right = forward.cross(&nalgebra::Vector3::z()).normalize();
+        let down = forward.cross(&right);
+        let pixel = |i: usize| half_angle.tan() * (i as f64 - 44.5) / 45.0;
+        let rays = (0..90 * 90).map(|i| forward + right * pixel(i % 90) + down * pixel(i / 90));
+        let seen = |ray: nalgebra::Vector3<f64>| {
+            let ray: [f64; 3] = ray.into();
+            let nearest = solids.iter().filter_map(|solid| reach(eye, ray, solid)).min_by(f64::total_cmp)?;
+            Some(ray.map(|v| (v * nearest * unit) as f32))
+        };
+        rays.filter_map(seen).collect()
+    }
+
+    #[test]
+    fn an_object_seen_from_one_side_is_no_scene() {
+        let (ball, upright) = (([0.0; 3], [0.5; 3], false), ([0.0; 3], [0.3, 0.3, 0.6], false));
+        let carton = ([0.0; 3], [0.3, 0.2, 0.5], true);
+        let bottle = vec![([0.0, 0.0, -0.2], [0.25, 0.25, 0.5], false), ([0.0, 0.0, 0.3], [0.09, 0.09, 0.4], true)];
+        for (number, solids) in [vec![ball], vec![upright], vec![carton], bottle].iter().enumerate() {
+            // Two or three faces of the carton: one face alone is as flat as a wall.
+            for eye in [[2.0, 1.0, 1.5], [-3.0, 2.0, 1.0], [1.5, -2.0, 0.7]] {
+                for unit in [0.1, 300.0] {
+                    let camera = depth_image(solids, eye, 0.3, unit);
+                    assert!(!is_scene(&camera), "{number} {eye:?} {unit}");
+                    // The face of a carton is a wall unless one knows on which side the sensor stood.
+                    let centered: Vec<Point> =
+                        camera.iter().map(|p| std::array::from_fn(|a| p[a] + (eye[a] * unit) as f32)).collect();
+                    assert!(number == 2 || !is_scene(&centered), "centered {number} {eye:?} {unit}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn one_depth_image_of_a_room_or_of_things_on_a_table_is_a_scene() {
+        let mut room: Vec<Solid> =
+            vec![([0.0, 0.0, -1.3], [4.0, 4.0, 0.1], true), ([0.0, 0.0, 1.5], [4.0, 4.0, 0.1], true)];
+        room.extend([([-2.0, 0.0, 0.0], [0.1, 4.0, 2.0], true), ([0.0, -2.5, 0.0], [4.0, 0.1, 2.0], true)]);
+        let desk = ([-1.4, -1.0, -0.5], [0.4, 0.8, 0.03], true);
+        room.extend([desk, ([0.2, -2.2, -0.6], [0.5, 0.3, 0.6], true), ([-1.5, 1.0, -0.8], [0.3, 0.3, 0.4], true)]);
+        let mut table: Vec<Solid> =
+            vec![([0.0, 0.0, -0.05], [0.6, 0.5, 0.05], true), ([0.0, 0.0, -0.8], [5.0, 5.0, 0.05], true)];
+        table.extend([([0.2, 0.1, 0.1], [0.06, 0.06, 0.1], true), ([-0.2, 0.0, 0.06], [0.06; 3], false)]);
+        table.push(([0.0, -0.2, 0.05], [0.1, 0.05, 0.05], true));
+        for (solids, eye) in
+            [(&room, [1.5, 1.8, 0.4]), (&room, [0.8, 2.2, 0.3]), (&table, [0.1, -0.9, 0.7]), (&table, [0.8, 0.6, 0.8])]
+        {
+            for unit in [1.0, 1000.0] {
+                assert!(is_scene(&depth_image(solids, eye, 0.5, unit)), "{eye:?} {unit}");
+            }
+        }
     }
 
     #[test]

@@ -32,7 +32,6 @@ pub struct UsedCloud<'a> {
     finite: FinitePoints<'a>,
     num_given: usize,
     is_sweep: OnceLock<bool>,
-    scene_signs: OnceLock<Option<[f64; NUM_SIGNS]>>,
     coordinate_step: OnceLock<Option<CoordinateStep>>,
     /// The size of voxels that suits its density, as a step of the [series](crate::lattice::voxel_size).
     pub(crate) voxel_step: OnceLock<i32>,
@@ -49,8 +48,8 @@ impl<'a> UsedCloud<'a> {
 
     /// The used points of a cloud of `num_given` points.
     pub(crate) fn from_finite(finite: FinitePoints<'a>, num_given: usize) -> Self {
-        let (is_sweep, scene_signs, coordinate_step, voxel_step) = Default::default();
-        Self { finite, num_given, is_sweep, scene_signs, coordinate_step, voxel_step }
+        let (is_sweep, coordinate_step, voxel_step) = Default::default();
+        Self { finite, num_given, is_sweep, coordinate_step, voxel_step }
     }
 
     /// The points that are used, in the order they were given.
@@ -83,11 +82,6 @@ impl<'a> UsedCloud<'a> {
         haze::haze(self.points())
     }
 
-    /// Its [`scene_signs`].
-    pub fn scene_signs(&self) -> Option<[f64; NUM_SIGNS]> {
-        *self.scene_signs.get_or_init(|| scene_signs(self.points()))
-    }
-
     /// The length of which its coordinates are multiples, along the axis where it is largest.
     pub(crate) fn coordinate_step(&self) -> Option<CoordinateStep> {
         *self.coordinate_step.get_or_init(|| coordinate_step::coordinate_step(self.points()))
@@ -95,8 +89,8 @@ impl<'a> UsedCloud<'a> {
 
     /// The same cloud, copied if it is borrowed.
     pub fn into_owned(self) -> UsedCloud<'static> {
-        let Self { finite, num_given, is_sweep, scene_signs, coordinate_step, voxel_step } = self;
-        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, scene_signs, coordinate_step, voxel_step }
+        let Self { finite, num_given, is_sweep, coordinate_step, voxel_step } = self;
+        UsedCloud { finite: finite.into_owned(), num_given, is_sweep, coordinate_step, voxel_step }
     }
 
     pub(crate) fn into_finite(self) -> FinitePoints<'a> {

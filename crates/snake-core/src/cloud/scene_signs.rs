@@ -1,185 +1,262 @@
 //! Signs of a scene: how a cloud of a room, a street or terrain differs from one of a single object, in any unit.
 //!
-//! A scene is seen from within or from one side, and much of it is flat; an object is seen from all around. The signs are
-//! measured on the mean points of the cells of a coarse grid, which do not depend on the density of near points,
-//! after projection onto the plane of their surroundings: a noisy wall is flat too.
-//! `python -m snake_training.cloud_kind` fits the weights in `choose/rule.rs`. By
-//! them 99 % of the fragments and parts of fragments that chose nothing are taken for scenes, with noise of 2 cm 92 %, and
-//! 16 % of the whole validation objects: an object taken for a scene costs little.
+//! An object is seen from all around, or from one side: then it bulges toward its sensor and ends where it turns away. A scene is
+//! seen from within, much of it is flat, and it ends anywhere. The signs are measured on patches: the mean points of the cells of
+//! a coarse grid, which do not depend on the density of near points, laid on the planes of their surroundings, because a noisy
+//! wall is flat too. `python -m snake_training.cloud_kind` fits the weights in `choose/rule.rs`.
 
 use nalgebra::Matrix3;
 
 use super::samples::{drawn, quantile};
-use snake_geometry::{Neighbors, Point, Vector, vector};
+use snake_geometry::{Point, Vector, eigen, vector};
 
 /// The number of signs.
-pub const NUM_SIGNS: usize = 8;
+pub const NUM_SIGNS: usize = 12;
 
 /// Points that are looked at, at most.
-const POINTS: usize = 20_000;
-/// Fewest points, and fewest cells, of a cloud with signs.
+const POINTS: usize = 6000;
+/// Fewest points of a cloud with signs.
 const MIN_POINTS: usize = 100;
 /// Cells along the radius of the cloud.
-const CELLS: f64 = 16.0;
-/// Directions about the middle of the cloud.
-const DIRECTIONS: usize = 100;
-/// Points within this many sides of a cell give the plane onto which its mean is projected.
-const PLANE_RADIUS: f64 = 1.6;
+const CELLS: f64 = 12.0;
 /// Fewest points that make a plane.
-const MIN_PLANE_POINTS: usize = 6;
-/// Cells whose surroundings are measured, at most.
-const SAMPLES: usize = 150;
+const MIN_PLANE_POINTS: f64 = 6.0;
+/// Fewest patches that make surroundings, or a cloud with signs.
+const MIN_PATCHES: usize = 6;
+/// Patches whose surroundings are measured, at most.
+const SAMPLES: usize = 200;
+/// Cosine between the normals of parallel patches.
+const PARALLEL: f64 = 0.97;
+/// Radii of surroundings, in sizes of the cloud (the root mean square distance of the patches from their mean): two whose
+/// flatness is measured, and one that bulges or not.
+const RADII: [f64; 2] = [0.25, 0.5];
+const BULGE_RADIUS: f64 = 0.3;
+/// A patch is at an edge if the mean of the patches within the first many sides of a cell is at least the second many away.
+const EDGE: [f64; 2] = [3.5, 1.2];
+/// A viewpoint that is farther away, in sizes of the cloud, is an origin of coordinates and not a sensor.
+const FARTHEST_SENSOR: f64 = 300.0;
 
-/// The signs of a cloud `(N, 3)` of finite points. `None` where the cells are too few, or the cloud has no extent.
+/// The signs of a cloud `(N, 3)` of finite points. `None` where the patches are too few, or the cloud has no extent.
 ///
-/// In units of the root mean square distance of the cells from their mean: a tenth of the surroundings within 0.25 are flatter
-/// than the first sign (the smallest eigenvalue's share); a quarter of those within 0.5 are broader than the second (the
-/// middle one's). Then the largest skewness along a direction, the share of directions in which something lies, the logarithm
-/// of the number of cells, the nearest and the farthest distance by direction (their 0.9 quantiles), and the share of pairs
-/// of cells within 0.25.
-pub fn scene_signs(points: &[Point]) -> Option<[f64; NUM_SIGNS]> {
-    let drawn: Vec<[f64; 3]> = drawn(points, POINTS).map(|point| point.map(f64::from)).collect();
-    let (cells, _) = cells(&laid_on_planes(drawn)?)?;
-    let number = cells.len() as f64;
-    let mean: [f64; 3] = std::array::from_fn(|axis| cells.iter().map(|cell| cell[axis]).sum::<f64>() / number);
-    let mut cells: Vec<[f64; 3]> =
-        cells.iter().map(|cell| std::array::from_fn(|axis| cell[axis] - mean[axis])).collect();
-    let scale = (cells.iter().map(|cell| dot(cell, cell)).sum::<f64>() / number).sqrt();
-    cells.iter_mut().flatten().for_each(|v| *v /= scale);
-    let [flat, _] = surroundings(&cells, 0.25, [0.1, 0.75])?;
-    let [_, broad] = surroundings(&cells, 0.5, [0.1, 0.75])?;
-    let directions: Vec<[f64; 3]> = directions().collect();
-    let skewness = directions.iter().map(|direction| skewness(&cells, direction).abs()).fold(0.0, f64::max);
-    let mut reach = [None::<[f64; 2]>; DIRECTIONS];
-    for cell in &cells {
-        let nearest =
-            (0..DIRECTIONS).max_by(|&a, &b| dot(cell, &directions[a]).total_cmp(&dot(cell, &directions[b])))?;
-        let distance = dot(cell, cell).sqrt();
-        let [near, far] = reach[nearest].unwrap_or([distance; 2]);
-        reach[nearest] = Some([near.min(distance), far.max(distance)]);
-    }
-    let seen = reach.iter().flatten().count() as f64 / DIRECTIONS as f64;
-    let [near, far] = [0, 1].map(|end| quantile(reach.iter().flatten().map(|ends| ends[end]).collect(), 0.9));
-    // Each cell with another one that is drawn for it.
-    let partner = |i: usize| ((i as f64 * 0.618_033_988_75).fract() * number) as usize;
-    let close = |(i, cell): (usize, &[f64; 3])| squared_distance(cell, &cells[partner(i)]) < 0.25 * 0.25;
-    let pairs = cells.iter().enumerate().filter(|pair| close(*pair)).count() as f64 / number;
-    Some([flat, broad, skewness, seen, number.ln(), near, far, pairs])
+/// `viewpoint` is where the sensor may have stood: the origin of the frame, as in clouds of a camera. Amid the cloud, or very far
+/// from it, it does not count.
+///
+/// The signs are the flatness (the smallest eigenvalue's share) of surroundings of two radii and the breadth (the middle one's) of
+/// the smaller; the logarithm of the area; the shares of parallel pairs of patches and of the largest connected part; how far the
+/// mean of the points is from that of the patches; how far surroundings bulge as the whole cloud does, and toward the viewpoint,
+/// and how far the whole bulges toward it; the share of patches at edges, and how much more than others these face the direction
+/// in which the cloud bulges.
+pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SIGNS]> {
+    let drawn: Vec<Vector> = drawn(points, POINTS).map(vector).collect();
+    let surface = Surface::new(&drawn, viewpoint.into())?;
+    let Surface { patches, side, connected, .. } = &surface;
+    let number = patches.len() as f64;
+    // The mean foot of the perpendiculars from the middle to the planes: zero for closed surfaces, and long for the half of one.
+    let bulge = patches.iter().map(|p| p.normal * p.normal.dot(&p.position)).sum::<Vector>() / number;
+    let direction = bulge.try_normalize(1e-9).unwrap_or_default();
+    let samples: Vec<&Patch> =
+        (0..SAMPLES.min(patches.len())).map(|i| &patches[i * patches.len() / SAMPLES.min(patches.len())]).collect();
+    let measured: Vec<Surroundings> = samples.iter().map(|sample| surface.surroundings(sample, &direction)).collect();
+    let at = |radius: usize, value: usize, share: f64| {
+        let values: Vec<f64> = measured.iter().filter_map(|s| Some(s.shares[radius]?[value])).collect();
+        (!values.is_empty()).then(|| quantile(values, share))
+    };
+    let mean = |value: fn(&Surroundings) -> f64| measured.iter().map(value).sum::<f64>() / measured.len() as f64;
+    let pairs = f64::max(mean(|s| s.pairs), 1e-9);
+    let edges = mean(|s| s.edge);
+    let points: f64 = patches.iter().map(|patch| patch.points).sum();
+    let dense: Vector = patches.iter().map(|patch| patch.position * patch.points).sum();
+    Some([
+        at(0, 0, 0.5)?,
+        at(1, 0, 0.9)?,
+        at(0, 1, 0.25)?,
+        (number * side * side).ln(),
+        parallel_share(&samples),
+        *connected,
+        dense.norm() / points,
+        mean(|s| s.bulge) / pairs,
+        mean(|s| s.toward_sensor) / pairs,
+        bulge.dot(&surface.toward_sensor(&Vector::zeros())),
+        edges,
+        mean(|s| s.edge * s.facing) / edges.max(1e-9) - mean(|s| s.facing),
+    ])
 }
 
-/// The mean of the points in each cell, moved onto the plane of the points about it.
-fn laid_on_planes(points: Vec<[f64; 3]>) -> Option<Vec<[f64; 3]>> {
-    let (mut cells, side) = cells(&points)?;
-    let near = Neighbors::new(points.into_iter().map(vector).collect()).ok()?;
-    for cell in &mut cells {
-        let point = vector(*cell);
-        let about = near.within(&point, PLANE_RADIUS * side);
-        if about.len() >= MIN_PLANE_POINTS
-            && let Some(normal) = near.normal(&about)
-        {
-            let mean = about.iter().map(|&index| near.points[index]).sum::<Vector>() / about.len() as f64;
-            *cell = (point - normal * normal.dot(&(point - mean))).into();
+/// What is measured about a sample.
+struct Surroundings {
+    /// The smallest and the middle eigenvalue's shares within each of [`RADII`].
+    shares: [Option<[f64; 2]>; 2],
+    /// The number of patches within [`BULGE_RADIUS`], and the sums of how steeply they lie below the sample's plane, seen
+    /// against the bulge and from the sensor.
+    pairs: f64,
+    bulge: f64,
+    toward_sensor: f64,
+    /// 1 at an edge, else 0.
+    edge: f64,
+    /// The cosine between the normal and the direction of the bulge, without its sign.
+    facing: f64,
+}
+
+/// The surface of a cloud about its middle, in units of its size.
+struct Surface {
+    patches: Vec<Patch>,
+    /// The side of a cell.
+    side: f64,
+    /// The share of the largest connected part.
+    connected: f64,
+    sensor: Vector,
+}
+
+/// The part of the surface in a cell.
+struct Patch {
+    position: Vector,
+    /// Zero where the points make no plane.
+    normal: Vector,
+    /// Number of points.
+    points: f64,
+}
+
+impl Surface {
+    fn new(points: &[Vector], viewpoint: Vector) -> Option<Self> {
+        let (cells, middle, side) = cells(points)?;
+        let near: Vec<Vec<usize>> = cells.iter().map(|cell| neighbors(cell, &cells)).collect();
+        let mut patches: Vec<Patch> = cells.iter().zip(&near).map(|(cell, near)| patch(cell, near, &cells)).collect();
+        let number = patches.len() as f64;
+        let mean = patches.iter().map(|patch| patch.position).sum::<Vector>() / number;
+        patches.iter_mut().for_each(|patch| patch.position -= mean);
+        let scale = (patches.iter().map(|patch| patch.position.norm_squared()).sum::<f64>() / number).sqrt();
+        patches.iter_mut().for_each(|patch| patch.position /= scale);
+        let sensor = ((viewpoint - middle) / side - mean) / scale;
+        let (side, connected) = (1.0 / scale, connected_share(&near));
+        (patches.len() >= MIN_PATCHES && scale > 0.0).then_some(Self { patches, side, connected, sensor })
+    }
+
+    /// The direction from a position to the sensor, shorter amid the cloud and zero for a viewpoint that is none.
+    fn toward_sensor(&self, position: &Vector) -> Vector {
+        let away = self.sensor.norm();
+        let trust = if away < FARTHEST_SENSOR { (away / away.hypot(1.0)).powi(3) } else { 0.0 };
+        (self.sensor - position).try_normalize(1e-9).unwrap_or_default() * trust
+    }
+
+    fn surroundings(&self, sample: &Patch, bulge: &Vector) -> Surroundings {
+        let Self { patches, side, .. } = self;
+        let reach = f64::max(RADII[1], EDGE[0] * side);
+        let offsets = patches.iter().map(|patch| patch.position - sample.position);
+        let near: Vec<(Vector, f64)> =
+            offsets.map(|o| (o, o.norm_squared())).filter(|(_, squared)| *squared <= reach * reach).collect();
+        let within = |radius: f64| near.iter().filter(move |(_, squared)| *squared <= radius * radius);
+        let shares =
+            RADII.map(|radius| eigenvalue_shares(&within(radius).map(|(offset, _)| *offset).collect::<Vec<_>>()));
+        let slopes: Vec<f64> = within(BULGE_RADIUS)
+            .filter(|(_, squared)| *squared > 0.0)
+            .map(|(offset, squared)| -sample.normal.dot(offset) / squared.sqrt())
+            .collect();
+        let below: f64 = slopes.iter().sum();
+        // The sample itself is one of them, without an offset.
+        let around =
+            within(EDGE[0] * side).fold((Vector::zeros(), -1.0), |(sum, n), (offset, _)| (sum + offset, n + 1.0));
+        Surroundings {
+            shares,
+            pairs: slopes.len() as f64,
+            bulge: below * sample.normal.dot(bulge),
+            toward_sensor: below * sample.normal.dot(&self.toward_sensor(&sample.position)),
+            edge: f64::from(around.1 > 0.0 && around.0.norm() > EDGE[1] * side * around.1),
+            facing: sample.normal.dot(bulge).abs(),
         }
     }
-    Some(cells)
 }
 
-/// The mean of the points in each cell, in the order of the grid, and the side of a cell.
-fn cells(points: &[[f64; 3]]) -> Option<(Vec<[f64; 3]>, f64)> {
+/// The points of a cell, in units of its side: their number, and the sums of positions and of their products.
+struct Cell {
+    key: [i64; 3],
+    number: f64,
+    sum: Vector,
+    products: Matrix3<f64>,
+}
+
+/// The cells in the order of the grid, the middle of the cloud, and the side of a cell.
+fn cells(points: &[Vector]) -> Option<(Vec<Cell>, Vector, f64)> {
     if points.len() < MIN_POINTS {
         return None;
     }
-    let center: [f64; 3] = std::array::from_fn(|axis| quantile(points.iter().map(|p| p[axis]).collect(), 0.5));
-    let radius = quantile(points.iter().map(|p| squared_distance(p, &center)).collect(), 0.98).sqrt();
-    let side = radius / CELLS;
+    let middle = Vector::from_fn(|axis, _| quantile(points.iter().map(|p| p[axis]).collect(), 0.5));
+    let side = quantile(points.iter().map(|p| (p - middle).norm()).collect(), 0.98) / CELLS;
     if !(side > 0.0 && side.is_finite()) {
         return None;
     }
-    let key =
-        |p: &[f64; 3]| -> [i64; 3] { std::array::from_fn(|axis| ((p[axis] - center[axis]) / side).floor() as i64) };
-    let mut keyed: Vec<_> = points.iter().map(|p| (key(p), p)).collect();
+    let mut keyed: Vec<([i64; 3], Vector)> = points
+        .iter()
+        .map(|point| (point - middle) / side)
+        .map(|place| (place.map(|v| v.floor() as i64).into(), place))
+        .collect();
     keyed.sort_by_key(|(key, _)| *key);
-    let mean = |cell: &[([i64; 3], &[f64; 3])]| {
-        std::array::from_fn(|axis| cell.iter().map(|(_, p)| p[axis]).sum::<f64>() / cell.len() as f64)
+    let cell = |group: &[([i64; 3], Vector)]| Cell {
+        key: group[0].0,
+        number: group.len() as f64,
+        sum: group.iter().map(|(_, place)| place).sum(),
+        products: group.iter().map(|(_, place)| place * place.transpose()).sum(),
     };
-    Some((keyed.chunk_by(|a, b| a.0 == b.0).map(mean).collect(), side))
+    Some((keyed.chunk_by(|a, b| a.0 == b.0).map(cell).collect(), middle, side))
 }
 
-/// Of the cells within a radius of a cell, the covariance's smallest and middle eigenvalue as shares of the sum; over the
-/// cells, a quantile of each. `None` where all cells stand alone.
-fn surroundings(cells: &[[f64; 3]], radius: f64, at: [f64; 2]) -> Option<[f64; 2]> {
-    let shares = |index: usize| {
-        let near: Vec<_> = cells.iter().filter(|c| squared_distance(c, &cells[index]) <= radius * radius).collect();
-        let number = near.len() as f64;
-        let mean: [f64; 3] = std::array::from_fn(|axis| near.iter().map(|c| c[axis]).sum::<f64>() / number);
-        let entry = |i: usize, j: usize| near.iter().map(|c| (c[i] - mean[i]) * (c[j] - mean[j])).sum::<f64>();
-        let mut values: [f64; 3] = Matrix3::from_fn(entry).symmetric_eigenvalues().into();
-        values.sort_by(f64::total_cmp);
-        let sum: f64 = values.iter().sum();
-        (near.len() >= 6 && sum > 0.0).then(|| [values[0] / sum, values[1] / sum])
-    };
-    let samples = cells.len().min(SAMPLES);
-    let shares: Vec<[f64; 2]> = (0..samples).filter_map(|i| shares(i * cells.len() / samples)).collect();
-    let value = |index: usize| quantile(shares.iter().map(|shares| shares[index]).collect(), at[index]);
-    (!shares.is_empty()).then(|| [value(0), value(1)])
+/// The cells among the 27 about a cell.
+fn neighbors(cell: &Cell, cells: &[Cell]) -> Vec<usize> {
+    let [x, y, z] = cell.key;
+    let rows = (0..9).map(|i| (x - 1 + i / 3, y - 1 + i % 3));
+    let range = |(x, y)| [z - 1, z + 2].map(|z| cells.partition_point(|other| other.key < [x, y, z]));
+    rows.map(range).flat_map(|[start, end]| start..end).collect()
 }
 
-/// Directions that cover the sphere evenly.
-fn directions() -> impl Iterator<Item = [f64; 3]> {
-    (0..DIRECTIONS).map(|i| {
-        let z = 1.0 - (2 * i + 1) as f64 / DIRECTIONS as f64;
-        let (sin, cos) = (i as f64 * std::f64::consts::PI * (1.0 + 5_f64.sqrt())).sin_cos();
-        let flat = (1.0 - z * z).sqrt();
-        [flat * cos, flat * sin, z]
-    })
-}
-
-/// The skewness of centred cells along a direction; 0 where they have no extent along it.
-fn skewness(cells: &[[f64; 3]], direction: &[f64; 3]) -> f64 {
-    let moment = |power| cells.iter().map(|cell| dot(cell, direction).powi(power)).sum::<f64>() / cells.len() as f64;
-    let variance = moment(2);
-    if variance > 1e-12 { moment(3) / variance.powf(1.5) } else { 0.0 }
-}
-
-fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    (0..3).map(|axis| a[axis] * b[axis]).sum()
-}
-
-fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A point of the walls, the floor and the ceiling of a room of 4 by 4 by 2.5, for each number.
-    fn room(i: usize) -> Point {
-        let at = |row: usize| ((i as f64 * 12.9898 + row as f64 * 78.233).sin() * 43_758.545).rem_euclid(1.0) as f32;
-        let mut point = [4.0 * at(0), 4.0 * at(1), 2.5 * at(2)];
-        let axis = (3.0 * at(3)) as usize;
-        point[axis] = if at(4) < 0.5 { 0.0 } else { [4.0, 4.0, 2.5][axis] };
-        point
+/// The mean of a cell's points on the plane of the points in the cells near it.
+fn patch(cell: &Cell, near: &[usize], cells: &[Cell]) -> Patch {
+    let (mut number, mut sum, mut products) = (0.0, Vector::zeros(), Matrix3::zeros());
+    for near in near.iter().map(|&index| &cells[index]) {
+        number += near.number;
+        sum += near.sum;
+        products += near.products;
     }
-
-    #[test]
-    fn noisy_walls_are_as_flat_as_walls() {
-        let clean: Vec<Point> = (0..20_000).map(room).collect();
-        let noise = |i: usize| ((i as f32 * 0.618_034).fract() - 0.5) * 0.07;
-        let noisy: Vec<Point> =
-            clean.iter().enumerate().map(|(i, p)| [0, 1, 2].map(|axis| p[axis] + noise(3 * i + axis))).collect();
-        let [clean, noisy] = [clean, noisy].map(|points| scene_signs(&points).unwrap());
-        assert!(clean[0] < 1e-3 && noisy[0] < 2e-3, "{clean:?} {noisy:?}");
+    let (position, mean) = (cell.sum / cell.number, sum / number);
+    if number < MIN_PLANE_POINTS {
+        return Patch { position, normal: Vector::zeros(), points: cell.number };
     }
+    let (_, normal) = eigen(products / number - mean * mean.transpose());
+    Patch { position: position - normal * normal.dot(&(position - mean)), normal, points: cell.number }
+}
 
-    #[test]
-    fn clouds_without_extent_or_points_have_no_signs() {
-        assert_eq!(scene_signs(&[[1.0; 3]; 500]), None);
-        assert_eq!(
-            scene_signs(&(0..50).map(|i| [i as f32, (i * i % 7) as f32, (i % 3) as f32]).collect::<Vec<_>>()),
-            None
-        );
-        let line: Vec<Point> = (0..500).map(|i| [i as f32, 0.0, 0.0]).collect();
-        assert!(scene_signs(&line).is_none_or(|signs| signs.iter().all(|sign| sign.is_finite())));
+/// The smallest and the middle eigenvalue of the covariance as shares of the sum. `None` for few or equal positions.
+fn eigenvalue_shares(positions: &[Vector]) -> Option<[f64; 2]> {
+    let number = positions.len() as f64;
+    let mean = positions.iter().sum::<Vector>() / number;
+    let products: Matrix3<f64> = positions.iter().map(|position| position * position.transpose()).sum();
+    let mut values: [f64; 3] = (products / number - mean * mean.transpose()).symmetric_eigenvalues().into();
+    values.sort_by(f64::total_cmp);
+    let sum: f64 = values.iter().sum();
+    (positions.len() >= MIN_PATCHES && sum > 0.0).then(|| [values[0].max(0.0) / sum, values[1] / sum])
+}
+
+/// The share of the largest connected part, by the neighbours of each cell.
+fn connected_share(near: &[Vec<usize>]) -> f64 {
+    let (mut is_reached, mut largest) = (vec![false; near.len()], 0);
+    for start in 0..near.len() {
+        let (mut open, mut size) = (vec![start], 0);
+        while let Some(index) = open.pop() {
+            if !std::mem::replace(&mut is_reached[index], true) {
+                size += 1;
+                open.extend(near[index].iter().filter(|&&other| !is_reached[other]));
+            }
+        }
+        largest = largest.max(size);
     }
+    f64::from(largest) / near.len() as f64
+}
+
+/// The share of pairs of samples whose planes are parallel.
+fn parallel_share(samples: &[&Patch]) -> f64 {
+    let normals: Vec<Vector> =
+        samples.iter().map(|patch| patch.normal).filter(|normal| *normal != Vector::zeros()).collect();
+    let pairs =
+        normals.iter().enumerate().flat_map(|(i, normal)| normals[..i].iter().map(move |other| normal.dot(other)));
+    let (parallel, number) = pairs
+        .fold((0.0, 0.0), |(parallel, number), cosine| (parallel + f64::from(cosine.abs() > PARALLEL), number + 1.0));
+    parallel / f64::max(number, 1.0)
 }

@@ -25,20 +25,19 @@ pub(super) fn is_sweep(points: &[Point]) -> bool {
         let mut values: Vec<f32> = measured.iter().map(|point| point[axis]).collect();
         *values.select_nth_unstable_by(measured.len() / 2, f32::total_cmp).1
     });
-    let reaches: Vec<f64> = measured.iter().map(|point| distance(point, &center)).collect();
+    let is_more = |squared: Vec<f64>, share: f64, times: f64| {
+        quantile(squared.clone(), share) > times * times * quantile(squared, 0.5)
+    };
     let nearest = |(i, point): (usize, &Point)| {
-        let others = measured.iter().enumerate().filter(|(j, _)| i != *j).map(|(_, other)| distance(point, other));
-        others.fold(f64::INFINITY, f64::min)
+        let others = measured.iter().enumerate().filter(|(j, _)| i != *j);
+        others.map(|(_, other)| squared_distance(point, other)).fold(f64::INFINITY, f64::min)
     };
-    let spacings: Vec<f64> = measured.iter().enumerate().map(nearest).collect();
-    let is_more = |values: &[f64], share: f64, times: f64| {
-        quantile(values.to_vec(), share) > times * quantile(values.to_vec(), 0.5)
-    };
-    is_more(&reaches, 0.98, FAR) && is_more(&spacings, 0.95, UNEVEN)
+    is_more(measured.iter().map(|point| squared_distance(point, &center)).collect(), 0.98, FAR)
+        && is_more(measured.iter().enumerate().map(nearest).collect(), 0.95, UNEVEN)
 }
 
-fn distance(a: &Point, b: &Point) -> f64 {
-    (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+fn squared_distance(a: &Point, b: &Point) -> f64 {
+    (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum()
 }
 
 #[cfg(test)]

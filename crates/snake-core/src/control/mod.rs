@@ -7,7 +7,7 @@ mod threads;
 
 pub use self::parallel_map::parallel_map;
 pub use self::progress::{Progress, Stage};
-pub use self::threads::check_num_threads;
+pub use self::threads::{ProcessPool, max_num_threads};
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -241,71 +241,6 @@ mod tests {
         metadata.insert("resolution".into(), "[64, 64, 64]".into());
         let bytes = safetensors::serialize(file.tensors(), Some(metadata.into_iter().collect())).unwrap();
         Model::from_bytes(&bytes).unwrap()
-    }
-
-    /// Stops calls by a flag and by a deadline, at moments spread over the duration of a whole call. Half of the calls
-    /// must return soon, and a stopped call must not change the results of later calls.
-    fn assert_stops_soon<T: PartialEq + Send>(call: impl Fn(&Control) -> Result<T> + Sync) {
-        // `make test-full` tests more of them.
-        let moments = if std::env::var_os("SNAKE_FULL").is_some() { 10 } else { 5 };
-        let expected = call(&Control::default()).unwrap();
-        let start = Instant::now();
-        assert!(call(&Control::default()).unwrap() == expected);
-        let whole = start.elapsed();
-        let mut delays = Vec::new();
-        for moment in 0..moments {
-            let pause = whole * moment / moments;
-            let flag = CancelFlag::default();
-            std::thread::scope(|scope| {
-                let running = scope.spawn(|| (call(&Control::new().cancel(&flag)), Instant::now()));
-                std::thread::sleep(pause);
-                let cancelled = Instant::now();
-                flag.cancel();
-                match running.join().unwrap() {
-                    (Ok(found), _) => assert!(found == expected, "cancelled after {pause:?}"),
-                    (Err(error), end) => {
-                        assert!(matches!(error, Error::Cancelled), "{error}");
-                        delays.push(end.saturating_duration_since(cancelled));
-                    }
-                }
-            });
-            let deadline = Instant::now() + pause;
-            match call(&Control::new().deadline(deadline)) {
-                Ok(found) => assert!(found == expected, "deadline after {pause:?}"),
-                Err(error) => {
-                    assert!(matches!(error, Error::DeadlineExceeded), "{error}");
-                    delays.push(deadline.elapsed());
-                }
-            }
-        }
-        assert!(call(&Control::default()).unwrap() == expected);
-        // Later calls may be faster than the one that was timed.
-        assert!(delays.len() >= moments as usize / 2, "{} of the calls were stopped", delays.len());
-        delays.sort();
-        let median = delays[delays.len() / 2];
-        // On a machine that is busy with other things everything takes longer.
-        assert!(median < Duration::from_millis(50).max(whole / 4), "{median:?} of {whole:?}");
-    }
-
-    #[test]
-    fn detection_stops_soon_and_leaves_nothing_behind() {
-        let (points, _) = cylinder();
-        let model = model_of_64();
-        let mut whole = Options::default();
-        whole.encode.rotations = 2;
-        assert_stops_soon(|control| model.detect_with(&points, &whole, control).map(|detection| detection.keypoints));
-    }
-
-    #[test]
-    fn encoding_and_meshes_stop_soon() {
-        let (points, field) = cylinder();
-        let model = model_of_64();
-        assert_stops_soon(|control| {
-            let field = model.encode_with(&points, &EncodeOptions::default(), control)?;
-            Ok(field.volume().values.to_vec())
-        });
-        let options = MeshOptions::default();
-        assert_stops_soon(|control| field.mesh_with(&options, control));
     }
 
     #[test]

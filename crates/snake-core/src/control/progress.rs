@@ -137,28 +137,6 @@ mod tests {
     }
 
     #[test]
-    fn another_thread_sees_progress_grow() {
-        let (points, _) = cylinder();
-        let progress = Progress::default();
-        let (model, control) = (Model::builtin(Builtin::Compact), Control::new().progress(&progress));
-        let options = EncodeOptions { rotations: 16, ..Default::default() };
-        std::thread::scope(|scope| {
-            let encoding = scope.spawn(|| model.encode_with(&points, &options, &control).unwrap());
-            let mut seen = 0;
-            while !encoding.is_finished() {
-                if let Some(stage) = progress.stage() {
-                    assert!(
-                        stage.name == "encoding" && (seen..=stage.total).contains(&stage.done),
-                        "{seen}, {stage:?}"
-                    );
-                    seen = stage.done;
-                }
-            }
-        });
-        assert_complete(&progress, "encoding");
-    }
-
-    #[test]
     fn the_remaining_time_is_extrapolated() {
         let stage = |done, total| Stage { name: "", done, total, elapsed: Duration::from_secs(10) };
         assert_eq!(stage(25, 100).remaining(), Some(Duration::from_secs(30)));

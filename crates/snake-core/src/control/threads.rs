@@ -1,34 +1,80 @@
-//! The number of threads that a caller may ask for.
+//! The threads of a process, and the number that a caller may ask for.
 
+use std::mem::forget;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::available_parallelism;
 
-use crate::{Error, Result};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use crate::{Error, Result, SimdLevel};
 
 /// Maximum number of threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
 
-/// Refuses a number of threads that is 0, or greater than both 256 and the number of processors.
-///
-/// # Errors
-/// [`Error::Input`], with the allowed numbers.
-pub fn check_num_threads(num_threads: usize) -> Result<()> {
-    let most = available_parallelism().map_or(1, usize::from).max(MAX_THREADS);
-    if (1..=most).contains(&num_threads) {
-        return Ok(());
-    }
-    Err(Error::Input { what: "num_threads", reason: format!("{num_threads}: allowed is 1 to {most}") })
+/// The greatest number of threads that a caller may ask for: 256, or the number of processors.
+pub fn max_num_threads() -> usize {
+    available_parallelism().map_or(1, usize::from).max(MAX_THREADS)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// The threads of all calls of a process. On Rayon's global pool a call would wait forever in a child after a fork, which
+/// has the memory of its parent but not its threads.
+pub struct ProcessPool(Mutex<State>);
 
-    #[test]
-    fn impossible_numbers_of_threads_are_refused_with_the_range() {
-        assert!(check_num_threads(1).is_ok() && check_num_threads(MAX_THREADS).is_ok());
-        for number in [0, 3_000_000, usize::MAX] {
-            let error = check_num_threads(number).unwrap_err().to_string();
-            assert!(error.starts_with(&format!("num_threads: {number}: allowed is 1 to ")), "{error}");
+/// The number of threads that was set (0: the default), and the pool with the id of its process.
+struct State {
+    num_threads: usize,
+    pool: Option<(u32, Arc<ThreadPool>)>,
+}
+
+impl ProcessPool {
+    /// A pool that starts its threads at the first use.
+    #[allow(clippy::new_without_default, reason = "it is made for a static")]
+    pub const fn new() -> Self {
+        Self(Mutex::new(State { num_threads: 0, pool: None }))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The threads of this process. A child after a fork starts its own.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the threads cannot be started, or the environment names an unknown level of instructions.
+    pub fn get(&self) -> Result<Arc<ThreadPool>> {
+        let (mut state, process) = (self.state(), std::process::id());
+        if let Some((owner, pool)) = &state.pool
+            && *owner == process
+        {
+            return Ok(pool.clone());
         }
+        SimdLevel::check_environment().map_err(|reason| Error::Input { what: "environment", reason })?;
+        let pool = ThreadPoolBuilder::new().num_threads(state.num_threads).build();
+        let pool = Arc::new(pool.map_err(|error| Error::Input { what: "num_threads", reason: error.to_string() })?);
+        // Each thread fills what it shares with others at its first job; a child must not be forked meanwhile.
+        pool.broadcast(|_| ());
+        // Dropping the parent's pool would signal threads that do not exist here.
+        forget(state.pool.replace((process, pool.clone())));
+        Ok(pool)
+    }
+
+    /// Sets the number of threads from the next call on; 0: `RAYON_NUM_THREADS`, or one for each processor. A child after a
+    /// fork keeps the number.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a number above [`max_num_threads`].
+    pub fn set_num_threads(&self, num_threads: usize) -> Result<()> {
+        let most = max_num_threads();
+        if num_threads > most {
+            return Err(Error::Input { what: "num_threads", reason: format!("{num_threads}: allowed is 1 to {most}") });
+        }
+        let mut state = self.state();
+        state.num_threads = num_threads;
+        if let Some((process, pool)) = state.pool.take()
+            && process != std::process::id()
+        {
+            forget(pool);
+        }
+        Ok(())
     }
 }

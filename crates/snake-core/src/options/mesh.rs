@@ -39,6 +39,6 @@ impl MeshOptions {
     /// # Errors
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn check(&self) -> Result<()> {
-        Ok(self.check_ranges()?)
+        self.check_ranges()
     }
 }

@@ -9,8 +9,8 @@ const MIN_SHARE: f64 = 0.01;
 /// Distances and depths that differ by a smaller share are equal. No surface is so exactly a sphere around the sensor, and text
 /// files round.
 const TOLERANCE: f64 = 1e-4;
-/// Points at one distance are missing returns if their smallest spread is above this share of it: they surround the sensor,
-/// where a beam on a level floor draws a circle.
+/// Points at one distance surround the sensor if their smallest spread is above this share of it: a beam on a level floor draws
+/// a circle.
 const MIN_SPREAD: f64 = 1e-3;
 /// A plane of missing returns is farther from the sensor than this many distances of the farthest other point.
 const MIN_DEPTH: f64 = 1.5;
@@ -18,60 +18,141 @@ const MIN_DEPTH: f64 = 1.5;
 const MIN_LEFT: f64 = 0.05;
 /// And so does one of which more points are at one distance or depth: a dome around the sensor, or a wall behind things.
 const MAX_AT_DISTANCE: f64 = 0.5;
-/// A place is that of missing returns if so many copies of it are there for each copy of another point; the second, if the sensor
-/// is not known: the vertices of a mesh are repeated, too.
+/// A place has at least so many copies for each copy of another point.
 const MIN_COPIES: f64 = 5.0;
+/// Other points have at most so many copies, if the sensor is not known: a mesh repeats its vertices.
 const MAX_OTHER_COPIES: f64 = 1.5;
 /// Number of kinds of missing returns in one cloud, at most.
 pub(super) const MAX_KINDS: usize = 4;
 /// Number of counters for distances. They fit on the stack.
 const COUNTERS: usize = 8192;
 
-/// Which of the finite points are missing returns of a sensor, and where, in words. At the origin, if the sensor is not known;
+/// Which points are missing returns, and where they are, in words.
+type Missing = (Vec<bool>, String);
+
+/// The rules in their order. Each names one kind of missing returns.
+const RULES: [fn(&Returns) -> Option<Missing>; 3] =
+    [|returns| returns.at_one_place(), |returns| returns.at_one_distance(), |returns| returns.at_one_depth()];
+
+/// Which of the finite points are missing returns of a sensor, and where, in words. A sensor that is not known is at the origin;
 /// points at one distance then have to be the farthest, since a ball on a stand may be about the origin.
-pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Option<(Vec<bool>, String)> {
-    let min_count = MIN_POINTS.max((MIN_SHARE * points.len() as f64) as usize);
-    if points.len() < min_count {
-        return None;
-    }
-    let (is_missing, place) = one_place_or_distance(points, sensor, min_count)
-        .or_else(|| one_depth(points, sensor.is_some(), min_count))
+pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Option<Missing> {
+    let returns = Returns::new(points, sensor)?;
+    let (is_missing, place) = RULES
+        .iter()
+        .find_map(|rule| rule(&returns))
         .map(|(is_missing, place)| (is_missing, place + ", as missing returns are written"))
         .or_else(|| housing(points))?;
-    let count = number_of(&is_missing);
     if !leaves_enough(&is_missing) {
         return None;
     }
-    let share = 100.0 * count as f64 / points.len() as f64;
-    let words = format!("{count} of {} points ({share:.0} %) are {place}", points.len());
-    Some((is_missing, words))
+    let (count, number) = (number_of(&is_missing), points.len());
+    let share = 100.0 * count as f64 / number as f64;
+    Some((is_missing, format!("{count} of {number} points ({share:.0} %) are {place}")))
 }
 
 fn number_of(is_missing: &[bool]) -> usize {
     is_missing.iter().filter(|missing| **missing).count()
 }
 
+fn is_surface(is_at: &[bool]) -> bool {
+    number_of(is_at) as f64 > MAX_AT_DISTANCE * is_at.len() as f64
+}
+
 fn leaves_enough(is_missing: &[bool]) -> bool {
     (is_missing.len() - number_of(is_missing)) as f64 >= MIN_LEFT * is_missing.len() as f64
 }
 
-fn is_surface(count: usize, points: &[Point]) -> bool {
-    count as f64 > MAX_AT_DISTANCE * points.len() as f64
+/// The points of a cloud as the returns of a sensor.
+struct Returns<'a> {
+    points: &'a [Point],
+    is_sensor_known: bool,
+    sensor: Vector,
+    min_count: usize,
+    /// Whether so many points may have one distance.
+    may_repeat: bool,
 }
 
-/// Points at one place are at one distance, too.
-fn one_place_or_distance(points: &[Point], sensor: Option<[f64; 3]>, min_count: usize) -> Option<(Vec<bool>, String)> {
-    let center: Vector = sensor.unwrap_or_default().into();
-    let distance = |point: &Point| (vector(*point) - center).norm();
-    if !may_be_frequent(points.iter().map(distance), min_count) {
-        return None;
+impl<'a> Returns<'a> {
+    /// `None` for fewer points than missing returns are.
+    fn new(points: &'a [Point], sensor: Option<[f64; 3]>) -> Option<Self> {
+        let min_count = MIN_POINTS.max((MIN_SHARE * points.len() as f64) as usize);
+        let (is_sensor_known, sensor) = (sensor.is_some(), sensor.unwrap_or_default().into());
+        let mut returns = Self { points, is_sensor_known, sensor, min_count, may_repeat: false };
+        returns.may_repeat = may_be_frequent(points.iter().map(|point| returns.distance(point)), min_count);
+        (points.len() >= min_count).then_some(returns)
     }
-    let frequent = frequent(points.iter().map(distance).collect(), min_count);
-    if frequent.is_empty() {
-        return None;
+
+    fn distance(&self, point: &Point) -> f64 {
+        (vector(*point) - self.sensor).norm()
     }
-    let is_known = sensor.is_some();
-    one_place(points, is_known, min_count).or_else(|| one_distance(points, is_known, distance, &frequent))
+
+    /// Copies of one point, where points are not repeated otherwise. They are at one distance, too.
+    fn at_one_place(&self) -> Option<Missing> {
+        let points = self.points;
+        let key = |point: &Point| point.map(|v| (v + 0.0).to_bits());
+        // Four bytes a point: the cloud may have hundreds of millions.
+        let number = u32::try_from(points.len()).ok().filter(|_| self.may_repeat)?;
+        let mut order: Vec<u32> = (0..number).collect();
+        order.sort_unstable_by_key(|&index| key(&points[index as usize]));
+        let copies = || order.chunk_by(|&a, &b| key(&points[a as usize]) == key(&points[b as usize]));
+        let most = copies().max_by_key(|copies| copies.len())?;
+        let (place, count, distinct) = (key(&points[most[0] as usize]), most.len(), copies().count());
+        let mean = points.len() as f64 / distinct as f64;
+        let others = (points.len() - count) as f64 / (distinct - 1).max(1) as f64;
+        let is_mesh = !self.is_sensor_known && others > MAX_OTHER_COPIES;
+        if count < self.min_count || (count as f64) < MIN_COPIES * mean || is_mesh {
+            return None;
+        }
+        let [x, y, z] = place.map(f32::from_bits);
+        Some((points.iter().map(|point| key(point) == place).collect(), format!("at ({x}, {y}, {z})")))
+    }
+
+    /// Points at exactly one distance from the sensor that face all ways.
+    fn at_one_distance(&self) -> Option<Missing> {
+        if !self.may_repeat {
+            return None;
+        }
+        let distances = || self.points.iter().map(|point| self.distance(point));
+        let farthest = distances().fold(0.0, f64::max);
+        let can_be = |distance: &f64| self.is_sensor_known || *distance >= (1.0 - TOLERANCE) * farthest;
+        frequent(distances().collect(), self.min_count).into_iter().filter(can_be).find_map(|distance| {
+            let is_at = |other: f64| (other - distance).abs() <= TOLERANCE * distance;
+            let is_missing: Vec<bool> = distances().map(is_at).collect();
+            let shell = self.points.iter().zip(&is_missing).filter(|(_, missing)| **missing);
+            let shell: Vec<Vector> = shell.map(|(point, _)| vector(*point)).collect();
+            let faces_all_ways = !is_surface(&is_missing) && least_spread(&shell) > MIN_SPREAD * distance;
+            faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
+        })
+    }
+
+    /// Points at exactly one depth along an axis, the least or the greatest, that are farther than all others. Copies of a
+    /// vertex, such as the tip of a cone, are no plane.
+    fn at_one_depth(&self) -> Option<Missing> {
+        let points = self.points;
+        let mut extremes = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
+        for point in points {
+            for (value, [low, high]) in point.iter().zip(&mut extremes) {
+                (*low, *high) = (low.min(*value), high.max(*value));
+            }
+        }
+        let ends = (0..3).flat_map(|axis| extremes[axis].map(|depth| (axis, f64::from(depth))));
+        ends.into_iter().find_map(|(axis, depth)| {
+            let is_at = |point: &Point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs();
+            let at_depth = || points.iter().filter(|point| is_at(point));
+            let first = at_depth().next();
+            let is_vertex = !self.is_sensor_known && at_depth().all(|point| Some(point) == first);
+            if at_depth().count() < self.min_count || is_vertex {
+                return None;
+            }
+            let is_missing: Vec<bool> = points.iter().map(is_at).collect();
+            let others = points.iter().filter(|point| !is_at(point));
+            let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
+            let is_behind = depth.abs() > MIN_DEPTH * farthest && !is_surface(&is_missing);
+            let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
+            is_behind.then_some((is_missing, place))
+        })
+    }
 }
 
 /// Whether so many of the distances may be equal. This takes a tenth of the time of [`frequent`] and no memory.
@@ -80,71 +161,6 @@ fn may_be_frequent(distances: impl Iterator<Item = f64>, min_count: usize) -> bo
     // The upper 24 bits, with 12 of the mantissa: what is equal has one number or two consecutive ones.
     distances.for_each(|distance| counts[(distance.to_bits() >> 40) as usize % COUNTERS] += 1);
     (0..COUNTERS).any(|at| (counts[at] + counts[(at + 1) % COUNTERS]) as usize >= min_count)
-}
-
-/// Copies of one point, where points are not repeated otherwise.
-fn one_place(points: &[Point], is_known: bool, min_count: usize) -> Option<(Vec<bool>, String)> {
-    let key = |point: &Point| point.map(|v| (v + 0.0).to_bits());
-    // Four bytes a point: the cloud may have hundreds of millions.
-    let mut order: Vec<u32> = (0..u32::try_from(points.len()).ok()?).collect();
-    order.sort_unstable_by_key(|&index| key(&points[index as usize]));
-    let copies = || order.chunk_by(|&a, &b| key(&points[a as usize]) == key(&points[b as usize]));
-    let most = copies().max_by_key(|copies| copies.len())?;
-    let (place, count, distinct) = (key(&points[most[0] as usize]), most.len(), copies().count());
-    let mean = points.len() as f64 / distinct as f64;
-    let others = (points.len() - count) as f64 / (distinct - 1).max(1) as f64;
-    if count < min_count || (count as f64) < MIN_COPIES * mean || !is_known && others > MAX_OTHER_COPIES {
-        return None;
-    }
-    let [x, y, z] = place.map(f32::from_bits);
-    Some((points.iter().map(|point| key(point) == place).collect(), format!("at ({x}, {y}, {z})")))
-}
-
-/// Points at exactly one of the frequent distances from the sensor that face all ways.
-fn one_distance(
-    points: &[Point],
-    is_known: bool,
-    distance_of: impl Fn(&Point) -> f64,
-    frequent: &[f64],
-) -> Option<(Vec<bool>, String)> {
-    let farthest = points.iter().map(&distance_of).fold(0.0, f64::max);
-    let can_be = |distance: &&f64| is_known || **distance >= (1.0 - TOLERANCE) * farthest;
-    frequent.iter().filter(can_be).find_map(|&distance| {
-        let is_at = |point: &Point| (distance_of(point) - distance).abs() <= TOLERANCE * distance;
-        let is_missing: Vec<bool> = points.iter().map(is_at).collect();
-        if is_surface(number_of(&is_missing), points) {
-            return None;
-        }
-        let shell: Vec<Vector> =
-            points.iter().zip(&is_missing).filter(|(_, missing)| **missing).map(|(p, _)| vector(*p)).collect();
-        let faces_all_ways = least_spread(&shell) > MIN_SPREAD * distance;
-        faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
-    })
-}
-
-/// Points at exactly one depth along an axis that are farther than all others: the least or the greatest. Copies of a vertex,
-/// such as the tip of a cone, are no plane.
-fn one_depth(points: &[Point], is_known: bool, min_count: usize) -> Option<(Vec<bool>, String)> {
-    let mut extremes = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
-    for point in points {
-        for (value, [low, high]) in point.iter().zip(&mut extremes) {
-            (*low, *high) = (low.min(*value), high.max(*value));
-        }
-    }
-    let ends = (0..3).flat_map(|axis| extremes[axis].map(|depth| (axis, f64::from(depth))));
-    ends.into_iter().find_map(|(axis, depth)| {
-        let is_at = |point: &Point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs();
-        let at_depth = || points.iter().filter(|point| is_at(point));
-        let first = at_depth().next();
-        let count = at_depth().count();
-        if count < min_count || is_surface(count, points) || !is_known && at_depth().all(|point| Some(point) == first) {
-            return None;
-        }
-        let others = points.iter().filter(|point| !is_at(point));
-        let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
-        let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
-        (depth.abs() > MIN_DEPTH * farthest).then(|| (points.iter().map(is_at).collect(), place))
-    })
 }
 
 /// The values that so many others equal within the tolerance.

@@ -8,7 +8,7 @@ use snake_geometry::{Neighbors, Point, Vector, vector};
 /// Downsamples finite points to the means of voxels, indexed for neighbour queries.
 pub(crate) fn downsample(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
     let counter = control.begin("voxels", points.len());
-    Ok(Neighbors::new(voxel_means(points, voxel_size, &counter)?)?)
+    Neighbors::new(voxel_means(points, voxel_size, &counter)?)
 }
 
 /// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first

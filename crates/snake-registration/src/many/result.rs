@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_geometry::RigidTransform;
+use snake_geometry::{RigidTransform, record};
 
+record! {
 /// The result of [`align`](crate::align()).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -30,7 +31,9 @@ pub struct Alignment {
     /// Run time.
     pub seconds: f64,
 }
+}
 
+record! {
 /// The pose of a cloud in the frame of its part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -46,7 +49,9 @@ pub struct Pose {
     /// disagreement.
     pub covariance: [[f64; 6]; 6],
 }
+}
 
+record! {
 /// A registration that the poses follow.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -68,7 +73,9 @@ pub struct Edge {
     /// The information matrix of the pair, as [`Fit::information`](crate::Fit::information).
     pub information: [[f64; 6]; 6],
 }
+}
 
+record! {
 /// A reliable registration that contradicts the initial poses, such as that of two storeys with one
 /// floor plan.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -84,6 +91,7 @@ pub struct Contradiction {
     /// The largest distance that does not contradict them; see
     /// [`AlignOptions::pose_tolerance`](crate::AlignOptions::pose_tolerance).
     pub tolerance: f64,
+}
 }
 
 impl Alignment {

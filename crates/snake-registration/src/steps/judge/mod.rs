@@ -66,7 +66,8 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
     let viewpoints = pair.viewpoints();
     let report = |place: usize| CloudReport {
         viewpoint: viewpoints[place].map_or(ViewpointUsed::None, |viewpoint| viewpoint.used),
-        sensor: viewpoints[place].map(|viewpoint| viewpoint.sensor),
+        position: viewpoints[place].map(|viewpoint| viewpoint.sensor.position),
+        visible: viewpoints[place].map(|viewpoint| viewpoint.sensor.visible),
         num_skipped: pair.clouds()[place].num_skipped,
     };
     Ok(Registration {

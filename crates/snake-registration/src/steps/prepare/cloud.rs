@@ -146,7 +146,7 @@ impl<'a> UsedPoints<'a> {
         let clean = |(index, points): (usize, &&'a [Point])| {
             let viewpoint = Viewpoint::new(points, viewpoint(index));
             let position = viewpoint.map(|viewpoint| viewpoint.sensor.position);
-            let used = FinitePoints::clean("points", points, position).map_err(|error| (index, error.into()))?;
+            let used = FinitePoints::clean("points", points, position).map_err(|error| (index, error))?;
             let (outliers, missing) = (used.outliers(), used.missing().to_vec());
             Ok(Self {
                 num_skipped: points.len() - used.points.len(),

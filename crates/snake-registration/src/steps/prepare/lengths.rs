@@ -76,7 +76,7 @@ impl GivenLengths {
             0.0
         };
         let resolve = |name, length: Option<Length>| -> Result<Option<f64>> {
-            Ok(length.map(|length| length.resolve(name, || coarser)).transpose()?)
+            length.map(|length| length.resolve(name, || coarser)).transpose()
         };
         Ok(Self {
             voxel_size: resolve("voxel_size", options.voxel_size)?,
