@@ -140,7 +140,8 @@ fn clouds_without_one_answer_exit_with_1_if_a_reliable_one_is_required() {
     };
     let cylinder = |i: u16| [turn(i).0, turn(i).1, f32::from(i) / 500.0];
     let write = |name: &str, points: Vec<[f32; 3]>| snake_io::write_points(name.as_ref(), &points, [0.0; 3]).unwrap();
-    write(&path("ball.ply"), (0..3000).map(ball).collect());
+    // So large that no distances of the sample are there.
+    write(&path("ball.ply"), (0..3000).map(|i| ball(i).map(|v| 50.0 * v)).collect());
     write(&path("cylinder.ply"), (0..3000).map(cylinder).collect());
     let apart = snake(&["register", &sample(), &path("ball.ply"), "--require-reliable", "--json"]);
     assert!(apart.status.code() == Some(1) && apart.stdout.is_empty(), "{}", stderr(&apart));
