@@ -27,9 +27,8 @@ const REPEAT_SETTLED: f64 = 0.1;
 const REPEAT_PROBE: usize = 4;
 /// Number of least-squares steps by which a shift settles. Set for time.
 const REPEAT_STEPS: usize = 2;
-/// Length of the longest shift. Unit: inlier distances. Rows of seats and pillars have 3 to 5; in streets slides by 9 leave
-/// too little in view to tell.
-const MAX_REPEAT: f64 = 6.0;
+/// Length of the longest shift. Unit: inlier distances. Tiers of stadiums have 9.
+const MAX_REPEAT: f64 = 10.0;
 /// Share of the patches that must agree with a shift; the others may have left the view. Half and twice change no
 /// outcome.
 const MIN_REPEAT_SHARE: f64 = 0.2;

@@ -30,7 +30,7 @@ const RIVAL_STEPS: usize = 8;
 const MIN_SELF_SUPPORT: f64 = 0.06;
 /// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
 /// distances. An object in a map has 7 to 11.
-const MIN_UNSIGNED_MOTION: f64 = 12.0;
+const MIN_UNSIGNED_MOTION: f64 = 11.5;
 /// A rival contradicts at most this. Unit: share of the places that the winner explains and that tell the two apart. Stairs,
 /// ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more.
 const MAX_CONTRADICTED: f64 = 0.08;
@@ -39,7 +39,7 @@ const MAX_CONTRADICTED: f64 = 0.08;
 const STANDING_CONTRADICTED: f64 = 0.28;
 /// Of all places, after a shift there or one with which details fit better: pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
-/// After a slide: tiers of a stadium have up to 0.25, streets 0.31 and more.
+/// After a slide: tiers of a stadium have up to 0.25, two of three streets 0.31 and more.
 const SLIDE_CONTRADICTED: f64 = 0.27;
 /// Part of the way of a slide fewer places tell that it fits. Unit: share of those at its end; shares of the slide. Half and
 /// twice change no outcome.
