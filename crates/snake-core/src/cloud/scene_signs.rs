@@ -72,9 +72,8 @@ fn laid_on_planes(points: &[Point]) -> Option<Vec<[f64; 3]>> {
     let vectors: Vec<[f64; 3]> = points.iter().map(|point| point.map(f64::from)).collect();
     let (mut cells, side) = cells(&vectors)?;
     let near = RadiusCells::new(points, (PLANE_RADIUS * side) as f32).ok()?;
-    let mut about = Vec::new();
     for cell in &mut cells {
-        about.clear();
+        let mut about = Vec::new();
         near.within(&cell.map(|v| v as f32), near.radius(), |index| about.push(vector(points[index])));
         if about.len() >= MIN_PLANE_POINTS {
             let (point, mean) = (vector(*cell), about.iter().sum::<Vector>() / about.len() as f64);
