@@ -13,7 +13,7 @@ MAX_LINES = {
     "crates/snake-geometry": 5207,
     "crates/snake-io": 10726,
     "crates/snake-kernels": 2976,
-    "crates/snake-registration": 11517,
+    "crates/snake-registration": 11573,
     "crates/snake-tiles": 1839,
     "crates/snake-view": 572,
     "docs": 423,

@@ -14,8 +14,8 @@ mod standing;
 mod together;
 mod turns;
 
-use constants::TRIES;
 pub(crate) use constants::{MAX_DOUBTFUL, RELIABLE, REPEATED};
+use constants::{REPEATED_FITNESS, TRIES};
 use nalgebra::{IsometryMatrix3, Matrix6};
 
 use crate::cloud::patches::{self, overlap};
@@ -27,6 +27,7 @@ use crate::steps::pair::Pair;
 use crate::steps::refine::Candidate;
 use constraint::Constraint;
 use evidence::{Evidence, is_rival};
+use repeats::repeated_share;
 use rivals::{Rival, rivals};
 pub(crate) use scale::best_scale;
 use scale::better_scale;
@@ -100,7 +101,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     let standing = contradicted_at_one_place(pair, transform)?;
     let contradicted = standing.filter(|share| *share > MAX_STANDING);
     let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
-    let mut equal = rivals(pair, transform, registration.fit.fitness, standing.is_some())?;
+    let mut equal = rivals(pair, transform, standing.is_some())?;
     equal.retain(Rival::is_equal);
     if equal.is_empty() && contradicted.is_none() && together.is_none() {
         return Ok(());
@@ -111,7 +112,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
     verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
     // Finer voxels would not tell which part moved.
-    let at_rest = if together.is_some() { 1.0 } else { 0.0 };
+    let at_rest = if together.is_some() { 1.0 } else { verdict.repeat_fit };
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     // Shifts come last, and are named first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
@@ -131,6 +132,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
+    let is_repeatable = fit.fitness > REPEATED_FITNESS;
     let lead = best.lead(candidates.get(1));
     let has_rival = match lead {
         Some(lead) => lead < MIN_LEAD * best.score(),
@@ -150,6 +152,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
+        repeat_fit: if is_repeatable { repeated_share(&overlap.patches, fine[1], &surfaces[1]) } else { 0.0 },
         apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
@@ -167,7 +170,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
             .collect(),
         weakest_constraint: evidence.weakest_constraint,
         slide_margin: evidence.slide_margin,
-        repeat_fit: 0.0,
+        repeat_fit: evidence.repeat_fit,
         free_space_violation: evidence.violation,
     })
 }

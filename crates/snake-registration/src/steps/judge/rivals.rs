@@ -1,13 +1,13 @@
 //! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
 //! which one of the clouds looks like itself, after a shift under which details repeat, and after a reflection.
 
-use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES, REPEATED_FITNESS};
+use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES};
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
 use super::alike::{self_motions, shared_support};
 use super::open_motions::axis_name;
-use super::repeats::{axes, slides};
+use super::repeats::axes;
 use super::shifts::{Shift, shifts};
 use super::turns::{after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
@@ -39,12 +39,6 @@ const MAX_CONTRADICTED: f64 = 0.08;
 const STANDING_CONTRADICTED: f64 = 0.28;
 /// Of all places, after a shift there or one with which details fit better: pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
-/// After a slide: tiers of a stadium have up to 0.25, two of three streets 0.31 and more.
-const SLIDE_CONTRADICTED: f64 = 0.27;
-/// Part of the way of a slide fewer places tell that it fits. Unit: share of those at its end; shares of the slide. Half and
-/// twice change no outcome.
-const SLIDE_VALLEY: f64 = 0.6;
-const SLIDE_PARTS: [f64; 3] = [0.35, 0.5, 0.65];
 /// Every so many of them tell where exactly a shift fits. Unit: places. Set for time.
 const SHIFT_THINNING: usize = 6;
 /// Number of steps to either side in which a shift is made exact. Half and twice change no outcome.
@@ -72,8 +66,6 @@ const MIN_DEVIATIONS: f64 = 3.0;
 enum Motion {
     Mirror,
     Shift(Shift),
-    /// A slide under which the overlap looks alike.
-    Slide(Vector),
     /// A turn, or a motion under which one of the clouds looks like itself.
     Alike,
 }
@@ -149,7 +141,6 @@ impl Rival {
         match self.motion {
             Motion::Mirror => (self.counts.lead(), -MIRROR_LEAD),
             Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => (of_all, SHIFT_CONTRADICTED),
-            Motion::Slide(_) => (of_telling, SLIDE_CONTRADICTED),
             _ if self.is_standing => (of_telling, STANDING_CONTRADICTED),
             _ => (of_telling, MAX_CONTRADICTED),
         }
@@ -166,7 +157,7 @@ impl Rival {
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both as f64 / self.counts.explained(),
-            Motion::Alike | Motion::Slide(_) => 1.0 - self.counts.contradicted_of_telling(),
+            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Mirror => 0.0,
         }
     }
@@ -189,7 +180,7 @@ impl Rival {
                     self.moved
                 )
             }
-            Motion::Shift(Shift { by, .. }) | Motion::Slide(by) => repeat_note("target", &by),
+            Motion::Shift(Shift { by, .. }) => repeat_note("target", &by),
         }
     }
 }
@@ -205,19 +196,12 @@ fn repeat_note(what: &str, by: &Vector) -> String {
 
 /// The turns, motions, shifts and reflections of the winner under which the clouds fit, with what tells them
 /// from the winner.
-pub(super) fn rivals(
-    pair: &Pair,
-    winner: &IsometryMatrix3<f64>,
-    fitness: f64,
-    is_standing: bool,
-) -> Result<Vec<Rival>> {
+pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
     let patches = overlap(fine, winner, patches::NEAR * distance).patches;
-    let frame = match axes(&patches) {
-        [Some(first), Some(second), Some(third)] => [first, second, third],
-        _ => [Vector::x(), Vector::y(), Vector::z()],
-    };
+    let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
+    let frame = [first, second, third];
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
     let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
     let tried: Vec<_> = match pair.criteria().gravity {
@@ -232,15 +216,13 @@ pub(super) fn rivals(
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).collect();
     let fit = |(motion, guess)| fitting.fitted(motion, guess);
     let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
-    let by_slide = if fitness > REPEATED_FITNESS { slides(&patches, &frame, distance) } else { Vec::new() };
-    if fitted.is_empty() && by_shift.is_empty() && by_slide.is_empty() {
+    if fitted.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
     let scene = Scene::new(fitting, fine, &places);
     let moved = fitted.into_par_iter().map(|(motion, rough)| scene.moved(motion, rough)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
-    let slid = by_slide.into_par_iter().map(|slide| scene.slid(slide)).collect::<Result<Vec<_>>>()?;
-    Ok(moved.into_iter().chain(slid).chain(shifted).flatten().collect())
+    Ok(moved.into_iter().chain(shifted).flatten().collect())
 }
 
 /// The pair with what shows whether another transform fits the surfaces.
@@ -339,15 +321,6 @@ impl<'a, 'b> Scene<'a, 'b> {
         let counts = self.compare(&rough);
         let is_hopeless = counts.contradicted() > HOPELESS && counts.lead() > 0.0;
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
-    }
-
-    /// The rival near a slide; `None` if the surfaces fit part of the way too, as along a wall.
-    fn slid(&self, slide: Vector) -> Result<Option<Rival>> {
-        let at = |part: f64| Translation3::from(part * slide) * self.fitting.winner;
-        let Some(rival) = self.rival(Motion::Slide(slide), at(1.0))? else { return Ok(None) };
-        let least = SLIDE_VALLEY * rival.counts.telling as f64;
-        let is_worse = |part: f64| (self.compare(&at(part)).telling as f64) < least;
-        Ok(Some(rival).filter(|rival| rival.is_equal() && SLIDE_PARTS.into_iter().any(is_worse)))
     }
 
     /// The rival near a shift; `None` if it does not fit.
