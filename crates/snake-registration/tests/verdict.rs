@@ -377,7 +377,7 @@ fn what_is_known_of_sweeps_only_helps() {
 #[test]
 fn a_second_look_at_sweeps_finds_more_and_leaves_reliable_answers() {
     let mut counts = [0; 2];
-    for seed in 12..18 {
+    for seed in 20..26 {
         let ([source, target], truth) = sweeps(13.0, seed);
         let default = RegisterOptions::default();
         let second = register(&source, &target, &default).unwrap();
