@@ -67,11 +67,11 @@ mod tests {
         on_surface(field, modes, apart).unwrap().0.positions
     }
 
-    /// A box of 0.3 by 1 by 0.8, thin enough that modes of both sides meet in its middle.
+    /// A box of 0.3 by 1 by 0.4, thin enough that modes of both sides meet in its middle.
     fn plate(number: usize) -> Field {
         let golden = |i: usize, k: f64| (i as f64 * k).fract() as f32;
         let side = |i: usize| {
-            [if i.is_multiple_of(2) { 0.0 } else { 0.3 }, golden(i, 0.754_877_67), 0.8 * golden(i, 0.569_840_29)]
+            [if i.is_multiple_of(2) { 0.0 } else { 0.3 }, golden(i, 0.754_877_67), 0.4 * golden(i, 0.569_840_29)]
         };
         let points: Vec<Point> = (0..number).map(side).collect();
         crate::Model::builtin(crate::Builtin::Compact).encode(&points, &crate::EncodeOptions::default()).unwrap()
@@ -79,9 +79,9 @@ mod tests {
 
     #[test]
     fn modes_move_onto_the_surface_and_those_on_it_come_again() {
-        let field = plate(4000);
+        let field = plate(8000);
         let voxel = field.voxel_size();
-        let modes = [[0.3, 0.5, 0.4], [0.3 - 1.4 * voxel, 0.5, 0.4], [1.4 * voxel, 0.5, 0.4]];
+        let modes = [[0.3, 0.5, 0.2], [0.3 - 1.4 * voxel, 0.5, 0.2], [1.4 * voxel, 0.5, 0.2]];
         let moved = placed(&field, &modes, 0.0);
         assert_eq!(moved.len(), 3);
         for position in &moved {
@@ -92,8 +92,8 @@ mod tests {
 
     #[test]
     fn sparse_points_move_nothing() {
-        let inside = [[0.05, 0.5, 0.4]];
+        let inside = [[0.05, 0.5, 0.2]];
         assert_eq!(placed(&plate(300), &inside, 0.1), inside);
-        assert_ne!(placed(&plate(4000), &inside, 0.1), inside);
+        assert_ne!(placed(&plate(8000), &inside, 0.1), inside);
     }
 }
