@@ -45,7 +45,7 @@ const OPEN: f64 = 0.005;
 /// Points of an object that are asked, at most.
 const MANY: usize = 8_192;
 /// Points are dense if nearest ones are closer than this many voxels, on average.
-const DENSE: f64 = 0.3;
+const DENSE: f64 = 0.35;
 /// Points show the surface if more than this share of their patches is certain.
 const SHOWN: f32 = 0.25;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
