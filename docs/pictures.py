@@ -4,16 +4,14 @@ FOLDER holds objects/val, a corpus folder, and scenes/val and scenes/train, fold
 them stay as they are without it. The curves are made by `make results`. Needs snake-cli, snake_rs, Pillow and, for the page, Chromium.
 
 Clouds have the colour of the saliency at their points, from violet (0) to yellow (0.7). Keypoints are those of the default options: the
-larger, the higher their confidence. Of a pair the target is grey and the source red: the best answer first, then its rivals.
+larger, the higher their confidence. Of a pair the target is grey and the source red.
 """
 
 import argparse
-import importlib.util
 import itertools
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -93,16 +91,16 @@ def keypoints(named, ups="z", columns=4, view=(35, 25), radius=np.inf, model=Non
         yield drawn((points @ turn.T)[:, :2], colours, f"{name}: {len(found)}", width, 2, marks, radii)
 
 
-def answers(source, target, hypotheses=1, map_voxel=None, axes=(0, 1)):
-    """Panels of what `register` answers, or a `PreparedMap` of a voxel size; seen along the third axis."""
+def answer(source, target, map_voxel=None):
+    """The source on the target by `register`, or by a `PreparedMap` of a voxel size; from above."""
     if map_voxel:
         result = snake_rs.PreparedMap(target, voxel_size=map_voxel).register(source)
     else:
-        result = snake_rs.register(source, target, hypotheses=hypotheses)
-    width, colours = WIDTH // max(len(result.hypotheses), 2), np.repeat([GREY, RED], [len(target), len(source)], axis=0)
-    for number, t in enumerate(hypothesis.t_target_source for hypothesis in result.hypotheses):
-        both = np.concatenate([target, source @ t[:3, :3].T + t[:3, 3]])[:, axes]
-        yield drawn(both, colours, "rival" if number else f"confidence {result.verdict.confidence:.2f}", width)
+        result = snake_rs.register(source, target)
+    colours = np.repeat([GREY, RED], [len(target), len(source)], axis=0)
+    t = result.t_target_source
+    both = np.concatenate([target, source @ t[:3, :3].T + t[:3, 3]])[:, :2]
+    return drawn(both, colours, f"confidence {result.verdict.confidence:.2f}", WIDTH // 2)
 
 
 def save(panels, name, columns=4, colours=64):
@@ -116,34 +114,14 @@ def save(panels, name, columns=4, colours=64):
     picture.quantize(colours).save(DOCS / name, optimize=True)
 
 
-def facade(shift):
-    """A scan of a wall with a window every 1.5 m, from `shift` metres along it."""
-    spec = importlib.util.spec_from_file_location("generate", DOCS.parent / "samples/generate.py")
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    boxes = [made.box([0, 0, -0.1], [80, 30, 0.2]), made.box([0, 9, 6], [80, 0.3, 12])]
-    boxes += [made.box([x, 8.7, z], [1.2, 0.3, 1.5]) for x in np.arange(-19.5, 21, 1.5) for z in (2, 5, 8)]
-    rays = made.turn(np.linspace(-45, 45, 48), 500)
-    return made.scanned(boxes, [shift, 0, 1.4], 0, rays, 14, 0.008, np.random.default_rng(int(shift)))
-
-
-def stairs():
-    """Two scans of spiral stairs, of `tests/bench/made_pairs.py`."""
-    sys.path.append(str(DOCS.parent / "tests/bench"))
-    import made_pairs
-
-    pair = made_pairs.make("stairs", 62)
-    return [points[np.abs(points[:, 2]) < 2.5] for points in (pair.source, pair.target)]
-
-
 def drive():
-    """A sweep of a made drive, and six aligned."""
+    """The sweep of the samples, and six of a made drive, aligned."""
     from snake_training.data.sensors import write_drives
 
     write_drives(WORK / "drive", drives=1, sweeps=6, step=5.0, seed=2)
     run("snake-cli", "align", WORK / "drive", "--merged", WORK / "merged.ply")
     merged = np.asarray(snake_rs.read_points(WORK / "merged.ply"))
-    return {"sweep": np.load(WORK / "drive/drive002_0.npy"), "street": merged}
+    return {"sweep": np.asarray(snake_rs.read_points(PLANE.with_name("sweep.ply"))), "street": merged}
 
 
 def aerial():
@@ -194,7 +172,7 @@ def pictures(data):
         return np.load(path)
 
     plane, office = np.asarray(snake_rs.read_points(PLANE)), lambda number: fragment(OFFICE.format(number))
-    pair = lambda name, *clouds, **words: save(list(answers(*clouds, **words)), name, colours=16)
+    pair = lambda name, *clouds, **words: save([answer(*clouds, **words)], name, colours=16)
     two = lambda name, named, *words, **others: save(list(keypoints(named, *words, 2, **others)), name, 2)
     return {
         "view.png": page,
@@ -208,8 +186,6 @@ def pictures(data):
         "gallery/aerial.png": lambda out: two(
             out, {"aerial": aerial(), "tabletop": fragment("tabletop_learn__00")}, "z camera", view=(15, 60)
         ),
-        "gallery/facade.png": lambda out: pair(out, facade(3.0), facade(0.0), hypotheses=3),
-        "gallery/stairs.png": lambda out: pair(out, *stairs(), hypotheses=2, axes=(0, 2)),
         "gallery/map.png": lambda out: pair(
             out, fragment("7-scenes-redkitchen__47"), rooms(folder("scenes")), map_voxel=0.05
         ),

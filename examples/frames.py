@@ -6,9 +6,9 @@ import snake_rs
 
 
 def main(paths: list[str]) -> None:
-    before = None
+    detector, before = snake_rs.FrameDetector("scenes"), None
     for path in paths:
-        keypoints = snake_rs.detect(path, model="scenes")
+        keypoints = detector.detect(path)
         if before is not None:
             # Rows (i, j): keypoint i before and keypoint j now, each the nearest of the other.
             pairs = snake_rs.match(before, keypoints)

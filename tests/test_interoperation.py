@@ -1,6 +1,5 @@
 """Points of other libraries go in as they are, and none of those libraries is imported for it."""
 
-import array
 import subprocess
 import sys
 from pathlib import Path
@@ -85,20 +84,6 @@ def test_trimesh(same, points):
         assert same(other)
 
 
-def test_the_buffer_protocol_and_dlpack_alone_are_enough(same, points):
-    class OnlyDlpack:
-        def __dlpack__(self, **options):
-            return points.__dlpack__(**options)
-
-        def __dlpack_device__(self):
-            return points.__dlpack_device__()
-
-    flat = array.array("f", points.ravel().tolist())
-    buffer = memoryview(flat).cast("B").cast("f", points.shape)
-    for other in (OnlyDlpack(), buffer, SimpleNamespace(points=points), SimpleNamespace(vertices=points.tolist())):
-        assert same(other)
-
-
 def test_open3d(same, points):
     # Without libraries of the system its import fails although it is installed.
     open3d = pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
@@ -132,14 +117,3 @@ def test_keypoints_are_points_too(field):
     keypoints = field.detect(saliency_threshold=0.0)
     assert len(keypoints) > 0
     assert np.array_equal(snake_rs.estimate_normals(keypoints, 1.0), snake_rs.estimate_normals(keypoints.points, 1.0))
-
-
-def test_read_points(points, tmp_path):
-    assert points.dtype == np.float64 and points.shape == (300, 3)
-    np.save(tmp_path / "cloud.npy", points.astype(np.float64))
-    assert np.array_equal(snake_rs.read_points(str(tmp_path / "cloud.npy")), points)
-    with pytest.raises(FileNotFoundError):
-        snake_rs.read_points(tmp_path / "none.ply")
-    (tmp_path / "bad.ply").write_text("ply?")
-    with pytest.raises(ValueError, match=r"bad\.ply"):
-        snake_rs.read_points(tmp_path / "bad.ply")

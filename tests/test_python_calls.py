@@ -72,6 +72,8 @@ def test_parts_print_their_values_and_are_pickled():
     for part in (registration, registration.verdict, registration.clouds[0], edge):
         again = pickle.loads(pickle.dumps(part))
         assert repr(again) == repr(part) and type(again) is type(part)
-    assert repr(registration.clouds[0]) == f"CloudReport(viewpoint={registration.clouds[0].viewpoint!r}, num_skipped=0)"
+    cloud = registration.clouds[0]
+    place = f"position={cloud.position!r}, visible={cloud.visible!r}"
+    assert repr(cloud) == f"CloudReport(viewpoint={cloud.viewpoint!r}, {place}, num_skipped=0)"
     assert f"Verdict(confidence={registration.verdict.confidence!r}, is_reliable=True, " in repr(registration.verdict)
     assert "information=array of shape (6, 6))" in repr(registration.fit)

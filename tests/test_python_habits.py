@@ -1,7 +1,6 @@
 """The module as users of numpy, pandas and notebooks expect it."""
 
 import contextlib
-import copy
 import html
 import importlib
 import json
@@ -135,15 +134,6 @@ def test_tensors_with_a_gradient_meshes_and_plans(keypoints):
         snake_rs.detect(points[:, :2])
 
 
-def test_results_can_be_pickled(keypoints):
-    for result in (keypoints[3], snake_rs.align([torus(), torus(3000)])):
-        for again in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
-            assert repr(again) == repr(result)
-    plane = snake_rs.read_points(Path(__file__).parents[1] / "samples/plane.ply")
-    edge = snake_rs.align([plane, plane + 1]).edges[0]
-    assert np.array_equal(pickle.loads(pickle.dumps(edge)).information, edge.information)
-
-
 def test_keypoints_are_a_sequence(keypoints):
     first = keypoints[0]
     assert isinstance(first, snake_rs.Keypoint)
@@ -168,24 +158,6 @@ def test_keypoints_are_an_array_and_columns(keypoints):
     columns = keypoints.to_dict()
     assert list(columns) == ["x", "y", "z", "saliency", "occupancy", "nearest_index", "confidence"]
     assert np.array_equal(columns["y"], keypoints.points[:, 1])
-
-
-@pytest.mark.parametrize("extension", ["ply", "pcd", "npy", "csv", "json"])
-def test_keypoints_are_saved(keypoints, extension, tmp_path):
-    path = tmp_path / f"keypoints.{extension}"
-    keypoints.save(path)
-    if extension != "json":
-        assert np.allclose(snake_rs.read_points(path), keypoints.points, atol=1e-6)
-    assert path.stat().st_size > 100
-
-
-def test_keypoints_far_from_zero_are_saved_with_their_digits(tmp_path):
-    far = torus() + [691_000.0, 5_336_000.0, 500.0]
-    found = snake_rs.detect(far)
-    found.save(tmp_path / "far.csv")
-    assert np.abs(snake_rs.read_points(tmp_path / "far.csv") - found.points).max() < 1e-4
-    with pytest.raises(ValueError, match="unknown extension"):
-        found.save(tmp_path / "far.xlsx")
 
 
 def test_a_notebook_shows_a_picture(keypoints):
@@ -213,13 +185,6 @@ def test_fields_are_pickled(dtype):
     assert found.num_skipped == 1 and np.array_equal(found.nearest_index, expected.nearest_index)
 
 
-def test_help_lists_every_option_with_its_default():
-    listed = dict(re.findall(r"^    (\w+)=(\S+)  ", snake_rs.detect.__doc__, re.MULTILINE))
-    assert listed.pop("preset") == "None"
-    defaults = snake_rs.Model.builtin().recommended
-    assert {name: eval(value) for name, value in listed.items()} == defaults
-
-
 def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monkeypatch, tmp_path):
     opened = []
     monkeypatch.setattr("webbrowser.open", opened.append)
@@ -238,13 +203,6 @@ def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monke
     assert html.unescape(embedded[1]) == page
     with pytest.raises(TypeError, match="view"):
         snake_rs.view(points, radius=1)
-
-
-def test_results_are_tensors():
-    torch = pytest.importorskip("torch")
-    found = snake_rs.detect(torus())
-    tensor = torch.as_tensor(found)
-    assert tensor.shape == (len(found), 3) and np.array_equal(tensor.numpy(), found.points)
 
 
 def test_no_limit_is_none():
@@ -296,8 +254,3 @@ def test_a_page_shows_a_pair_or_takes_a_model():
         page(points, epsilon=0.1)
     with pytest.raises(ValueError, match="b.ply is neither a built-in model nor a weight file"):
         snake_rs.detect(points, "b.ply")
-
-
-def test_models_say_their_name(tmp_path):
-    assert repr(snake_rs.Model.builtin("scenes")).startswith("Model(scenes, ")
-    assert repr(pickle.loads(pickle.dumps(snake_rs.Model.builtin("standard")))).startswith("Model(standard, ")

@@ -1,6 +1,5 @@
 """Recordings of ROS in Python."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -30,59 +29,6 @@ def test_the_clouds_of_a_recording_are_read_one_by_one():
         )
         assert np.array_equal(snake_rs.detect(cloud).points, snake_rs.detect(drive(frame)).points)
     assert frame == 1 and next(recording, None) is None
-
-
-def message(points):
-    """A PointCloud2 of ROS 2 with float64 coordinates, in CDR."""
-    data = bytearray()
-
-    def put(kind, *values):
-        for value in values:
-            data.extend(b"\0" * (-len(data) % struct.calcsize(kind)) + struct.pack("<" + kind, value))
-
-    def text(value):
-        put("I", len(value) + 1)
-        data.extend(value.encode() + b"\0")
-
-    put("I", 0, 0)
-    text("map")
-    put("I", 1, len(points), 3)
-    for i, name in enumerate("xyz"):
-        text(name)
-        put("I", 8 * i)
-        put("B", 8)
-        put("I", 1)
-    put("B", 0)
-    put("I", 24, 24 * len(points), 24 * len(points))
-    data.extend(points.astype("<f8").tobytes() + b"\1")
-    return b"\0\1\0\0" + bytes(data)
-
-
-def mcap(messages):
-    """A recording of the topic /points: https://mcap.dev/spec."""
-
-    def text(value):
-        return struct.pack("<I", len(value)) + value.encode()
-
-    def record(kind, *parts):
-        return struct.pack("<BQ", kind, len(b"".join(parts))) + b"".join(parts)
-
-    schema = (text("sensor_msgs/msg/PointCloud2"), text("ros2msg"), text(""))
-    records = [record(1, text("ros2"), text("")), record(3, struct.pack("<H", 1), *schema)]
-    records.append(record(4, struct.pack("<HH", 0, 1), text("/points"), text("cdr"), bytes(4)))
-    for number, data in enumerate(messages):
-        records.append(record(5, struct.pack("<HIQQ", 0, number, number, number), data))
-    return b"\x89MCAP0\r\n" + b"".join([*records, record(15, bytes(4)), record(2, bytes(20))]) + b"\x89MCAP0\r\n"
-
-
-def test_georeferenced_clouds_of_float64_keep_their_digits(tmp_path):
-    points = drive(0).astype(float) + [500123.25, 5412345.75, 431.5]
-    (tmp_path / "far.mcap").write_bytes(mcap(message(cloud) for cloud in (points, np.r_[points, [[0, 0, 0]]])))
-    expected = snake_rs.detect(points).points
-    for cloud in snake_rs.read_recording(tmp_path / "far.mcap"):
-        assert cloud.points.dtype == np.float64
-        assert np.abs(cloud.points[:1000] - points).max() < 1e-6
-        assert np.array_equal(snake_rs.detect(cloud).points, expected)
 
 
 def test_recordings_that_cannot_be_read_are_refused(tmp_path):

@@ -4,12 +4,9 @@ import json
 import os
 import pickle
 import signal
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from golden_network import EASY, GOLDEN
 
 import snake_rs
 
@@ -89,22 +86,6 @@ def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
         tiles.detect(len(tiles))
 
 
-def test_a_folder_has_one_run(city, tmp_path):
-    given = {"paths": city, "tile": 20, "model": "scenes", **OPTIONS}
-    (tmp_path / "mine" / "points").mkdir(parents=True)
-    (tmp_path / "mine" / "points" / "mine.txt").write_text("mine")
-    with pytest.raises(ValueError, match="no run wrote"):
-        snake_rs.tiles(**given, folder=tmp_path / "mine")
-    assert (tmp_path / "mine" / "points" / "mine.txt").read_text() == "mine"
-
-    first = snake_rs.tiles(**given, folder=tmp_path / "tiles")
-    # A notebook repeats its cells.
-    snake_rs.tiles(**given, folder=tmp_path / "tiles").detect(0)
-    assert first.is_detected(0)
-    with pytest.raises(ValueError, match="other inputs, options or weights.*remove it"):
-        snake_rs.tiles(**{**given, "tile": 10}, folder=tmp_path / "tiles")
-
-
 @pytest.mark.parametrize(
     ("wrong", "error", "words"),
     [
@@ -137,88 +118,6 @@ def cluster():
     ray.shutdown()
 
 
-@pytest.mark.nightly
-def test_a_cluster_detects_small_clouds_as_one_machine(cluster, tmp_path):
-    from snake_rs.ray import DetectClouds
-
-    def cloud(seed):
-        """The surface of a box."""
-        rng = np.random.default_rng(seed)
-        points = rng.uniform(-1, 1, (600, 3))
-        points[np.arange(600), rng.integers(0, 3, 600)] = rng.choice([-1, 1], 600)
-        return (points * [1, 2, 0.3 + rng.uniform()]).astype(np.float32)
-
-    options = {"query_resolution": 24, "saliency_threshold": 0.1}
-    rows = [{"name": seed, "points": cloud(seed).ravel()} for seed in range(40)]
-    clouds = cluster.data.from_items([*rows, {"name": 40, "points": np.zeros(4, np.float32)}])
-    steps = {"batch_format": "pyarrow", "concurrency": 2, "num_cpus": 1, "batch_size": 4}
-    found = clouds.map_batches(DetectClouds, fn_constructor_kwargs={"model": "compact", **options}, **steps).take_all()
-    assert sorted(row["name"] for row in found) == list(range(41))
-    for row in found:
-        if row["name"] == 40:
-            assert "points" in row["error"] and row["keypoints"] is None
-            continue
-        here = snake_rs.detect(cloud(row["name"]), snake_rs.Model.builtin(), **options)
-        assert row["error"] is None and len(here) > 0
-        for name, column in here.to_dict().items():
-            assert np.array_equal(np.array([k[name] for k in row["keypoints"]], column.dtype), column)
-
-    path = tmp_path / "cloud.npy"
-    np.save(path, cloud(0))
-    missing = tmp_path / "missing.npy"
-    paths = [str(path), path.as_uri(), str(missing), missing.as_uri()]
-    rows = cluster.data.from_items([{"path": path} for path in paths])
-    found = rows.map_batches(DetectClouds, fn_constructor_kwargs=options, **steps).take_all()
-    by_path = {row["path"]: row for row in found}
-    for there in paths[:2]:
-        assert len(by_path[there]["keypoints"]) == len(snake_rs.detect(path, **options))
-    for away in paths[2:]:
-        assert "FileNotFoundError" in by_path[away]["error"]
-
-
-@pytest.mark.nightly
-def test_a_cluster_detects_many_clouds_though_a_worker_is_killed(cluster, tmp_path):
-    from snake_rs.ray import DetectClouds
-
-    log, mark = tmp_path / "log", tmp_path / "killed"
-    log.mkdir()
-
-    class KilledOnce(DetectClouds):
-        """Writes down the batches that are done. Its process dies once, when ten are."""
-
-        def __call__(self, batch):
-            if len(list(log.iterdir())) >= 10 and not mark.exists():
-                mark.touch()
-                os.kill(os.getpid(), signal.SIGKILL)
-            found = super().__call__(batch)
-            (log / f"{batch['number'][0]}-{time.time_ns()}").touch()
-            return found
-
-    rng = np.random.default_rng(0)
-    weights = str(GOLDEN / "tiny" / "weights.safetensors")
-    clouds = [rng.uniform(-1, 1, (80, 3)).astype(np.float32) for _ in range(400)]
-    rows = [{"number": number, "points": points.ravel()} for number, points in enumerate(clouds)]
-    found = (
-        cluster.data.from_items(rows, override_num_blocks=40)
-        .map_batches(
-            KilledOnce,
-            fn_constructor_args=(weights,),
-            fn_constructor_kwargs=EASY,
-            batch_format="pyarrow",
-            batch_size=10,
-            concurrency=2,
-            num_cpus=1,
-        )
-        .take_all()
-    )
-    assert mark.exists() and len(list(log.iterdir())) == 40
-    assert sorted(row["number"] for row in found) == list(range(400))
-    assert {row["error"] for row in found} == {None}
-    for row in found[::20]:
-        here = snake_rs.detect(clouds[row["number"]], weights, **EASY)
-        assert [keypoint["saliency"] for keypoint in row["keypoints"]] == here.saliency.tolist()
-
-
 def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     from snake_rs.ray import RegisterPairs
 
@@ -239,28 +138,6 @@ def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     assert np.array_equal(np.reshape(good["t_target_source"], (4, 4)), here.t_target_source)
     assert (good["confidence"], good["is_reliable"]) == (here.verdict.confidence, here.verdict.is_reliable)
     assert "FileNotFoundError" in bad["error"] and bad["t_target_source"] is None and bad["is_reliable"] is None
-
-
-def test_clouds_lie_in_object_storage(cluster, object_storage, tmp_path):
-    from snake_rs.ray import DetectClouds
-
-    files, storage = object_storage
-    points = np.random.default_rng(0).uniform(-1, 1, (600, 3)).astype(np.float32)
-    np.save(tmp_path / "cloud.npy", points)
-    files.put_file(str(tmp_path / "cloud.npy"), "clouds/cloud.npy")
-    rows = cluster.data.from_items([{"path": f"s3://clouds/{name}.npy"} for name in ("cloud", "missing")])
-    options = {"query_resolution": 24, "saliency_threshold": 0.1}
-    found = rows.map_batches(
-        DetectClouds,
-        fn_constructor_kwargs={"storage_options": storage, **options},
-        batch_format="pyarrow",
-        concurrency=1,
-        num_cpus=1,
-    ).take_all()
-    by_path = {row["path"]: row for row in found}
-    here = snake_rs.detect(points, **options)
-    assert len(here) > 0 and len(by_path["s3://clouds/cloud.npy"]["keypoints"]) == len(here)
-    assert "FileNotFoundError" in by_path["s3://clouds/missing.npy"]["error"]
 
 
 def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster, city, whole, tmp_path, monkeypatch):
@@ -292,18 +169,6 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
     monkeypatch.undo()
     assert module.keypoints_of_tiles(pickle.loads(pickle.dumps(tiles))).equals(table)
     assert times() == first
-
-
-@pytest.mark.nightly
-def test_a_cluster_reads_copc_files_by_bounds(cluster, tmp_path):
-    from snake_rs.ray import keypoints_of_tiles
-
-    path = Path(__file__).parent / "data/tiles/city.copc.laz"
-    tiles = snake_rs.tiles(path, tile=20, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
-    table = keypoints_of_tiles(tiles)
-    here = snake_rs.detect(path, model="scenes", **WHOLE)
-    assert len(here) > 50
-    assert_equal({name: table[name].to_numpy() for name in table.column_names}, here)
 
 
 def test_a_cluster_names_tiles_that_fail(cluster, city, tmp_path):

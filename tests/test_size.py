@@ -6,24 +6,24 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MAX_LINES = {
-    "crates/snake-capi": 1079,
-    "crates/snake-cli": 7123,
-    "crates/snake-core": 11326,
-    "crates/snake-detectors": 1316,
-    "crates/snake-geometry": 4899,
-    "crates/snake-io": 10889,
-    "crates/snake-kernels": 2967,
-    "crates/snake-registration": 11688,
-    "crates/snake-tiles": 1856,
+    "crates/snake-capi": 897,
+    "crates/snake-cli": 6571,
+    "crates/snake-core": 11353,
+    "crates/snake-detectors": 1299,
+    "crates/snake-geometry": 5207,
+    "crates/snake-io": 10726,
+    "crates/snake-kernels": 2976,
+    "crates/snake-registration": 11517,
+    "crates/snake-tiles": 1839,
     "crates/snake-view": 572,
-    "docs": 596,
+    "docs": 423,
     "examples": 500,
     "fuzz": 79,
-    "python": 4951,
+    "python": 4573,
     "samples": 96,
-    "tests": 6877,
-    "tools": 274,
-    "training": 13370,
+    "tests": 5551,
+    "tools": 267,
+    "training": 13016,
 }
 
 

@@ -95,23 +95,6 @@ def test_every_part_of_the_module_computes_in_a_child():
 
 
 @forks
-def test_children_forked_while_another_thread_computes():
-    run("""
-        import threading
-        model, stop = snake_rs.Model.builtin(), threading.Event()
-        def compute():
-            while not stop.is_set():
-                snake_rs.detect(points, model, **options)
-        thread = threading.Thread(target=compute)
-        thread.start()
-        for _ in range(10):
-            assert in_a_child(lambda: len(snake_rs.detect(points, model, **options)) >= 0)
-        stop.set()
-        thread.join()
-    """)
-
-
-@forks
 def test_children_forked_while_another_thread_makes_the_first_call():
     # Whatever is filled at the first use may be half filled at the fork. Each child here is new to the module.
     run("""
@@ -133,22 +116,6 @@ def test_a_fork_pool_of_multiprocessing():
         expected = detect()
         with multiprocessing.get_context("fork").Pool(2) as pool:
             assert pool.map(detect, range(4)) == [expected] * 4
-    """)
-
-
-@forks
-def test_a_torch_data_loader_with_two_workers():
-    pytest.importorskip("torch")
-    run("""
-        import torch
-        class Clouds(torch.utils.data.Dataset):
-            def __len__(self):
-                return 4
-            def __getitem__(self, row):
-                return torch.from_numpy(snake_rs.detect(points, **options).points)
-        expected = torch.from_numpy(snake_rs.detect(points, **options).points)
-        loader = torch.utils.data.DataLoader(Clouds(), batch_size=None, num_workers=2, multiprocessing_context="fork")
-        assert all(torch.equal(found, expected) for found in loader)
     """)
 
 
@@ -219,17 +186,6 @@ def test_ctrl_c_ends_a_call_within_a_fifth_of_a_second(call):
     # The fastest of three: on a busy machine a process may have to wait for a processor.
     code = textwrap.dedent(INTERRUPTED) + f"print(min(seconds_until_interrupted(lambda: {call}) for _ in range(3)))"
     assert float(run(code)) < 0.2
-
-
-def test_a_call_after_ctrl_c_gives_what_it_gave_before():
-    run(
-        textwrap.dedent(INTERRUPTED)
-        + """
-expected = detect()
-seconds_until_interrupted(lambda: snake_rs.detect(many, rotations=64))
-assert detect() == expected
-"""
-    )
 
 
 def test_another_signal_handler_runs_during_a_call_and_its_exception_ends_it():

@@ -553,6 +553,8 @@ class Matches:
 @dataclass(frozen=True, eq=False)
 class CloudReport:
     viewpoint: str
+    position: list[float] | None
+    visible: float | None
     num_skipped: int
 
 @final

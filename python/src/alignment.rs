@@ -37,7 +37,7 @@ pub fn align<'py>(
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let watch = Watch::new(deadline, progress)?;
-    let (mut options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
+    let (options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| {
         let (cloud, _, notes) = arrays::cloud_with_notes("clouds", cloud)?;
         Ok((cloud, notes))
@@ -50,7 +50,7 @@ pub fn align<'py>(
     let mut known = core::AlignPriors::default()
         .with_viewpoints(viewpoints.unwrap_or_else(|| vec![None; origins.len()]))
         .with_initial_poses(initial_poses);
-    known.place(&mut options, &origins);
+    known.place(&origins);
     let points: Vec<_> = clouds.into_iter().map(|cloud| cloud.points).collect();
     let near = threads::run_watched(py, watch, |control| {
         core::align_with(&points, &known, model.as_ref(), &options, &align_options, control)

@@ -33,7 +33,7 @@ impl Inputs {
         let module = py.import("snake_rs._remote")?;
         let mut expanded = Vec::new();
         for path in paths {
-            // Of a URL only the end tells a folder: to ask a web server could read a whole file.
+            // Only the end of a URL tells a folder: to ask a web server could read a whole file.
             if path.is_dir() || url(&path).is_some_and(|url| url.ends_with('/')) {
                 let clouds = module
                     .call_method1("clouds_in", (path.as_os_str(), POINT_EXTENSIONS.to_vec(), &storage_options))?;

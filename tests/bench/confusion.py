@@ -2,15 +2,13 @@
 
     python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs ball] [--scenes FOLDER]
 
-Kinds are those of made_pairs.py. `--scenes` adds the pairs of a folder of clouds (.npy) with `pairs.json`, by their overlap. Several
-programs take turns pair by pair, so that their processor times can be compared.
+Kinds are those of made_pairs.py. `--scenes` adds the pairs of a folder of clouds (.npy) with `pairs.json`, by their overlap.
 """
 
 import argparse
 import itertools
 import json
 import os
-import resource
 import subprocess
 import tempfile
 from collections import defaultdict
@@ -25,12 +23,12 @@ OUTCOMES = ["right, reliable", "right, not", "wrong, reliable", "wrong, not", "n
 
 
 def made(kinds: list[str], seeds: range, folder: Path) -> Iterator[tuple]:
-    """Kind, name, files and the test of a transform."""
+    """Kind, files and the test of a transform."""
     for kind, seed in itertools.product(kinds, seeds):
         pair, files = made_pairs.make(kind, seed), [folder / f"{end}.npy" for end in ("source", "target")]
         for file, points in zip(files, (pair.source, pair.target), strict=True):
             np.save(file, points)
-        yield f"{kind} (held out)" if kind in made_pairs.HELD_OUT else kind, f"{kind} {seed}", files, pair.is_right
+        yield f"{kind} (held out)" if kind in made_pairs.HELD_OUT else kind, files, pair.is_right
 
 
 def real(scenes: Path) -> Iterator[tuple]:
@@ -38,8 +36,7 @@ def real(scenes: Path) -> Iterator[tuple]:
     for row in json.loads((scenes / "pairs.json").read_text()):
         files = [scenes / f"{row[end]}.npy" for end in ("source", "target")]
         low = max(limit for limit in (0.0, 0.3, 0.5) if row["overlap"] >= limit)
-        is_right = partial(is_near, np.array(row["T"]))
-        yield f"real, overlap {low or 0.1} and more", f"{row['source']} {row['target']}", files, is_right
+        yield f"real, overlap {low or 0.1} and more", files, partial(is_near, np.array(row["T"]))
 
 
 def is_near(truth: np.ndarray, transform: np.ndarray) -> bool | None:
@@ -48,21 +45,14 @@ def is_near(truth: np.ndarray, transform: np.ndarray) -> bool | None:
     return (degrees <= 15 and metres <= 0.3) or (None if degrees < 20 and metres < 0.7 else False)
 
 
-def run(program: str, files: list[Path]) -> tuple[np.ndarray, bool, float, list[str]]:
-    """The transform, whether it is reliable, processor seconds and notes; without a transform the identity, not reliable."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+def run(program: str, files: list[Path]) -> tuple[np.ndarray, bool]:
+    """The transform, and whether it is reliable; without a transform the identity, not reliable."""
     command = [program, "register", *map(str, files), "--json", "--threads", "1"]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"RAYON_NUM_THREADS": "1"})
-    seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
     if done.returncode not in (0, 1, 2) or not done.stdout.strip():
-        return np.eye(4), False, seconds, [done.stderr.strip()]
+        return np.eye(4), False
     result = json.loads(done.stdout)
-    return np.array(result["t_target_source"]), result["verdict"]["is_reliable"], seconds, result["verdict"]["notes"]
-
-
-def outcome(is_right: bool | None, is_reliable: bool) -> str:
-    told = f"{'right' if is_right else 'wrong'}, {'reliable' if is_reliable else 'not'}"
-    return "near" if is_right is None else told
+    return np.array(result["t_target_source"]), result["verdict"]["is_reliable"]
 
 
 def main() -> None:
@@ -71,23 +61,19 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=[0, 6], help="first seed, and the one after the last")
     parser.add_argument("--kinds", nargs="*", default=list(made_pairs.KINDS), choices=made_pairs.KINDS, metavar="KIND")
     parser.add_argument("--scenes", type=Path)
-    parser.add_argument("--lines", action="store_true", help="a line for each pair too")
     arguments = parser.parse_args()
     counts = [defaultdict(lambda: dict.fromkeys(OUTCOMES, 0)) for _ in arguments.programs]
-    seconds = np.zeros(len(arguments.programs))
     with tempfile.TemporaryDirectory() as folder:
         pairs = real(arguments.scenes) if arguments.scenes else ()
         pairs = itertools.chain(pairs, made(arguments.kinds, range(*arguments.seeds), Path(folder)))
-        for kind, name, files, is_right in pairs:
+        for kind, files, is_right in pairs:
             for number, program in enumerate(arguments.programs):
-                transform, is_reliable, taken, notes = run(program, files)
-                told = outcome(is_right(transform), is_reliable)
+                transform, is_reliable = run(program, files)
+                answer = {True: "right, ", False: "wrong, ", None: "near"}[is_right(transform)]
+                told = answer if answer == "near" else answer + ("reliable" if is_reliable else "not")
                 counts[number][kind][told] += 1
-                seconds[number] += taken
-                if arguments.lines:
-                    print(f"{name}: {told}, {taken:.2f} s, {notes[:1]}", flush=True)
-    for program, rows, taken in zip(arguments.programs, counts, seconds, strict=True):
-        print(f"\n{program}: {taken:.1f} s\n\n| kind | {' | '.join(OUTCOMES)} |\n|---|{'---|' * len(OUTCOMES)}")
+    for program, rows in zip(arguments.programs, counts, strict=True):
+        print(f"\n{program}\n\n| kind | {' | '.join(OUTCOMES)} |\n|---|{'---|' * len(OUTCOMES)}")
         whole = {name: sum(row[name] for kind, row in rows.items() if kind[:4] != "real") for name in OUTCOMES}
         for kind, row in [*rows.items(), ("all made", whole)]:
             print(f"| {kind} | {' | '.join(str(count) for count in row.values())} |")

@@ -34,8 +34,7 @@ class Pair(NamedTuple):
 def errors(transform: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """Degrees between the rotations and metres between the translations."""
     cosine = (np.trace(transform[:3, :3].T @ truth[:3, :3]) - 1) / 2
-    degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    return float(degrees), float(np.linalg.norm(transform[:3, 3] - truth[:3, 3]))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))), float(np.linalg.norm(transform[:3, 3] - truth[:3, 3]))
 
 
 def yaw(degrees: float) -> np.ndarray:
@@ -58,10 +57,6 @@ def post(world: Solids, x: float, y: float, bottom: float, height: float, radius
 
 def open_ground() -> Solids:
     return Solids([(CUBE, np.array([0, 0, -0.1]), np.diag([200, 200, 0.1]), 0.0, False)])
-
-
-def twins(world: Solids) -> list[Solids]:
-    return [Solids(world.rows), Solids(world.rows)]
 
 
 def hall(low, high) -> Solids:
@@ -116,8 +111,7 @@ def camera(width: int = 128, height: int = 96, degrees: float = 70.0) -> np.ndar
 @cache
 def lidar(beams: int = 32, columns: int = 720, low: float = -30.0, high: float = 30.0) -> np.ndarray:
     """The rays (R, 3) of a spinning LiDAR, z up."""
-    elevation, azimuth = np.radians(np.linspace(low, high, beams)), np.linspace(0, 2 * np.pi, columns, endpoint=False)
-    return directions(elevation, azimuth)
+    return directions(np.radians(np.linspace(low, high, beams)), np.linspace(0, 2 * np.pi, columns, endpoint=False))
 
 
 def between(worlds, poses, rays, rng, noise: float, furthest: float, **limits) -> Pair:
@@ -190,7 +184,7 @@ def motorway(rng) -> Pair:
         box(still, [0, side, 0.4], [600, 0.2, 0.8])
     for _ in range(40):
         post(still, rng.uniform(-70, 95), rng.choice([-12.5, 12.5]), 0, 6, 0.12)
-    before, after = twins(still)
+    before, after = Solids(still.rows), Solids(still.rows)
     while len(before.rows) < len(still.rows) + 10:
         x, y, length = rng.uniform(-45, 55), rng.choice([-5.2, -1.8, 1.8, 5.2]), rng.choice([4.5, 12.0])
         if abs(x) >= length / 2 + 4 or abs(y + 1.8) >= 2:
@@ -250,7 +244,8 @@ def mirrored(rng) -> Pair:
 
 def changed(rng) -> Pair:
     """A room in which half of the furniture is new."""
-    worlds = twins(furnished(rng, count=7))
+    rows = furnished(rng, count=7).rows
+    worlds = [Solids(rows), Solids(rows)]
     for world in worlds:
         furniture(world, rng, 7)
     poses = [pose(clear(world, rng), rng.uniform(0, 360)) for world in worlds]
@@ -263,13 +258,13 @@ def room(rng) -> Pair:
     return twice(world, poses, lidar(48, 400, -60, 60), rng, 0.005, 30.0)
 
 
-def camera_room(rng) -> Pair:
+def camera_room(rng, size: tuple = (128, 96), noise: float = 0.004) -> Pair:
     """Two views of a depth camera with about the same direction."""
     world, turn = furnished(rng), rng.uniform(0, 360)
     first = clear(world, rng)
     second = next((p for p in (clear(world, rng) for _ in range(40)) if np.linalg.norm(p - first) < 1.2), first)
     poses = [pose(first, turn), pose(second, turn + rng.uniform(-12, 12))]
-    return twice(world, poses, camera(), rng, 0.004, 10.0)
+    return twice(world, poses, camera(*size), rng, noise, 10.0)
 
 
 def sentinels(rng) -> Pair:
@@ -358,7 +353,7 @@ def station(rng) -> Pair:
     for _ in range(14):
         post(same, rng.uniform(-50, 50), rng.uniform(-6, -3), 1.0, 3.0, 0.15)
         box(same, [rng.uniform(-50, 50), rng.uniform(-6, -4), 1.3], rng.uniform(0.4, 1.8, 3))
-    worlds = twins(same)
+    worlds = [Solids(same.rows), Solids(same.rows)]
     for world, shift in zip(worlds, (0.0, by), strict=True):
         for k in range(-3, 4):
             box(world, [18 * k + shift, 1.2, 2.4], [17, 2.8, 3.4])
@@ -386,7 +381,8 @@ def still(rng) -> Pair:
     is_street = rng.random() < 0.5
     same = houses(rng) if is_street else furnished(rng)
     t = pose([0, 0, 1.8] if is_street else clear(same, rng), 30.0)
-    worlds, size = twins(same), [4.2, 1.8, 1.5] if is_street else [0.6, 0.6, 1.0]
+    worlds = [Solids(same.rows), Solids(same.rows)]
+    size = [4.2, 1.8, 1.5] if is_street else [0.6, 0.6, 1.0]
     for world, at in zip(worlds, [[8, 3, 0.75], [-12, 3, 0.75]] if is_street else [[1.5, 2.5, 0.5], [4, 2.5, 0.5]]):
         box(world, at, size)
     rays = lidar(32, 700, -25, 12) if is_street else lidar(48, 400, -60, 60)
@@ -473,8 +469,7 @@ def symmetric(rng, name: str) -> Pair:
 
 def apart(rng, *kinds) -> Pair:
     """Two scans of two worlds: no transform is right."""
-    source, target = (kind(rng).source for kind in kinds)
-    return Pair(source, target, [])
+    return Pair(*(kind(rng).source for kind in kinds), [])
 
 
 NAMED = stairs, ramp, stairwell, motorway, slope, fence, facade, mirrored, changed, room, camera_room, sentinels, street

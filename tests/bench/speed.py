@@ -115,10 +115,8 @@ def calls(config, num_points, occupied, options, threads):
     results = [ours, *(call() for call in list(unets.values())[:2] if call)]
     if any(np.abs(result - reference).max() > 1e-3 * np.abs(reference).max() for result in results):
         raise SystemExit("the volumes differ by more than a thousandth of the largest value")
-    refined, theirs = (
-        snake_rs.detect(points, model, **vars(options)).counts["occupied"],
-        detect_torch(network, points, options),
-    )
+    refined = snake_rs.detect(points, model, **vars(options)).counts["occupied"]
+    theirs = detect_torch(network, points, options)
     if abs(theirs - refined) > 0.01 * refined:
         raise SystemExit(f"PyTorch refines {theirs} queries, snake-rs {refined}")
     rows = {name: call for name, call in unets.items() if call}
@@ -154,9 +152,8 @@ def main():
     os.environ["RAYON_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
     torch.set_num_threads(arguments.threads)
     rows = calls(NetworkConfig(), 4096, 12000, DetectOptions(), arguments.threads)
-    print(
-        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n\n| {arguments.threads} threads | seconds |\n|---|---|"
-    )
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n")
+    print(f"| {arguments.threads} threads | seconds |\n|---|---|")
     for name, seconds in medians(rows, arguments.runs).items():
         print(f"| {name} | {seconds:.3f} |")
 

@@ -6,7 +6,7 @@ in differently turned copies of a cloud are nearly independent: their mean repea
 DeTone et al. 2018, averages over homographies for the same reason). A third of the copies has noise and a third is thinned, so
 that the mean is what survives both. Still no labels.
 
-Of several networks the target is the highest: one student learns the keypoints of all.
+The target is the highest of several networks: one student learns the keypoints of all.
 """
 
 import json

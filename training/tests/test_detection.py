@@ -1,4 +1,4 @@
-"""Detection and suppression against values worked out by hand."""
+"""Detection against values worked out by hand; its steps are compared with `snake_rs` in `test_parity`."""
 
 import numpy as np
 import pytest
@@ -9,36 +9,8 @@ from snake_training.detection import (
     DetectOptions,
     candidates,
     detect,
-    query_grid,
-    refine,
-    suppress,
 )
 from snake_training.model import NetworkConfig
-
-# Suppression
-
-
-def test_suppression_keeps_the_better_of_two_within_the_radius():
-    points = torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [1.25, 0, 0], [1.5, 0, 0], [5, 0, 0]])
-    assert suppress(points, 1.0, 10) == [0, 2, 4]
-    assert suppress(points, 1.0, 2) == [0, 2]
-    assert suppress(points, 0.5, 10) == [0, 2, 4]  # exactly the radius apart is not farther
-    assert suppress(points, 0.49, 10) == [0, 1, 2, 4]
-    assert suppress(points.flip(0), 1.0, 10) == [0, 1, 4]  # order is rank
-    assert suppress(points, 0.0, 3) == [0, 1, 2]  # no radius, only the limit
-    assert suppress(torch.cat([points[:1]] * 3), 0.0, 10) == [0, 1, 2]
-    assert suppress(torch.zeros(0, 3), 1.0, 10) == []
-
-
-# Detection
-
-
-def test_query_grid_spans_the_cube_with_x_slowest():
-    grid = query_grid(NetworkConfig(z_min=-0.25, z_max=0.25), 3, "cpu")
-    assert grid.shape == (27, 3)
-    assert grid[0].tolist() == [-0.5, -0.5, -0.25] and grid[-1].tolist() == [0.5, 0.5, 0.25]
-    assert grid[1].tolist() == [-0.5, -0.5, 0] and grid[3].tolist() == [-0.5, 0, -0.25]
-    assert grid[9].tolist() == [0, -0.5, -0.25]
 
 
 class Bump(torch.nn.Module):
@@ -86,51 +58,6 @@ def test_positions_off_the_surface_score_zero():
     found = detect(Bump([0.0, 0.0, -0.1], floor=0.0), CLOUD, DetectOptions(**COARSE))
     assert len(found) > 0
     assert ((found[:, 2] - center[2]) / scale > 0).all()
-
-
-def test_gradient_descent_moves_each_query_by_its_own_gradient():
-    network = Bump([0.0, 0.0, 0.0])
-    queries = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]])
-    options = DetectOptions(refine_method="gradient-descent", refine_steps=1, refine_step_size=0.01)
-    position, score = refine(network, torch.zeros(1), queries, options)
-    slope = lambda x: 40 * x * np.exp(-20 * x**2)  # of the saliency
-    expected = torch.tensor([[0.1 - 0.01 * slope(0.1), 0, 0], [0, 0.2 - 0.01 * slope(0.2), 0]], dtype=torch.float32)
-    assert torch.allclose(position, expected, atol=1e-6)
-    assert torch.allclose(score, torch.exp(-20 * expected.square().sum(dim=1)), atol=1e-6)
-    both, _ = refine(network, torch.zeros(1), queries[:1], options)
-    assert torch.equal(both[0], position[0])  # whatever the other queries are
-
-
-def on_surface_queries(network):
-    """A volume of the tiny network and queries in it."""
-    generator = torch.Generator().manual_seed(3)
-    with torch.no_grad():
-        volume = network.encode(torch.rand(1, 80, 3, generator=generator) - 0.5)
-    return volume, torch.rand(200, 3, generator=generator) - 0.5
-
-
-def test_reference_selection_returns_final_positions_with_the_best_earlier_score(network):
-    """Against a loop written out: the best score before any step, the position after the last one."""
-    volume, queries = on_surface_queries(network)
-    with torch.no_grad():
-        threshold = network.occupancy_and_saliency(volume, queries[None])[0].median().item()  # half are on the surface
-    options = DetectOptions(
-        refine_steps=5, refine_step_size=0.03, surface_threshold=threshold, selection="reference-final-position"
-    )
-    position, score = refine(network, volume, queries, options)
-    moving = queries.clone().requires_grad_()
-    adam = torch.optim.Adam([moving], lr=0.03)
-    scores = []
-    for _ in range(5):
-        adam.zero_grad()
-        occupancy, saliency = network.occupancy_and_saliency(volume, moving[None])
-        scores.append((saliency * (occupancy > threshold))[0].detach())
-        (1 - saliency.mean()).backward()
-        adam.step()
-    assert torch.allclose(position, moving.detach(), atol=1e-6)
-    assert torch.allclose(score, torch.stack(scores).amax(dim=0), atol=1e-6)
-    best, best_score = refine(network, volume, queries, DetectOptions(**vars(options) | {"selection": "best-position"}))
-    assert not torch.equal(best, position) and (best_score >= score).all()
 
 
 @pytest.mark.parametrize("name", ["normalization", "refine_method", "selection"])

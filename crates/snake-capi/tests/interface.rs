@@ -5,8 +5,7 @@
 use std::ffi::{CStr, CString};
 use std::ptr::{null, null_mut};
 
-use snake_core::{DetectOptions, EncodeOptions, Model, OptionGroup};
-use snake_registration::RegisterOptions;
+use snake_core::Model;
 use snake_rs::*;
 
 fn torus() -> Vec<[f32; 3]> {
@@ -74,75 +73,6 @@ fn keypoints_are_those_of_the_core_packed_and_padded() {
     unsafe { snake_model_free(model) };
 }
 
-/// A floor, two walls and six boxes on the floor.
-fn room() -> Vec<[f32; 3]> {
-    let at = |i: u16, step: f32| (f32::from(i) * step).fract() * 2.0 - 1.0;
-    let cuboid = |number: u16, half: [f32; 3]| {
-        (0..number).map(move |i| {
-            let mut point = [at(i, 0.618_034), at(i, 0.754_878), at(i, 0.569_84)];
-            point[usize::from(i % 3)] = if i / 3 % 2 == 0 { 1.0 } else { -1.0 };
-            [0, 1, 2].map(|axis| point[axis] * half[axis])
-        })
-    };
-    let walls = cuboid(9000, [2.0, 1.5, 1.2]).filter(|p| p[0] > -1.99 && p[1] < 1.49 && p[2] < 1.19);
-    let boxes = (0..6u8).map(f32::from).flat_map(|i| {
-        cuboid(300, [0.2 + 0.05 * i, 0.2, 0.3]).map(move |p| [p[0] - 1.2 + 0.5 * i, p[1] - 0.8 + 0.3 * i, p[2] - 0.9])
-    });
-    walls.chain(boxes).collect()
-}
-
-#[test]
-fn an_automatic_model_is_that_of_each_cloud_and_a_detection_says_which() {
-    let (torus, room, mut model) = (torus(), room(), null_mut());
-    assert_eq!(unsafe { snake_model_auto(&mut model) }, SnakeStatus::Ok);
-    let detected = |points: &[[f32; 3]], options: &CStr| unsafe {
-        let mut detection = null_mut();
-        assert_eq!(snake_detect(model, packed(points), options.as_ptr(), &mut detection), SnakeStatus::Ok);
-        let text = |text: *const std::ffi::c_char| (!text.is_null()).then(|| CStr::from_ptr(text).to_str().unwrap());
-        let name = text(snake_detection_model(detection)).unwrap().to_owned();
-        let note = text(snake_detection_note(detection, 0)).map(str::to_owned).unwrap_or_default();
-        assert!(snake_detection_voxel_size(detection) > 0.0 && snake_detection_note(detection, 99).is_null());
-        snake_detection_free(detection);
-        (name, note)
-    };
-    assert_eq!(detected(&torus, c"{}").0, "compact, built-in");
-    assert_eq!(detected(&room, c"{}").0, "scenes, built-in");
-    let (name, note) = detected(&room, c"{\"rotations\": 2}");
-    assert_eq!(name, "compact, built-in");
-    assert!(note.starts_with("option `rotations` is for objects, so the model is `compact`"), "{note}");
-    unsafe {
-        let mut registration = std::mem::zeroed();
-        let options = c"{\"detector\": \"snake\"}";
-        let status = snake_register(model, packed(&torus), packed(&torus), options.as_ptr(), &mut registration);
-        assert_eq!(status, SnakeStatus::Ok, "{}", last_error());
-        snake_model_free(model);
-        assert!(snake_detection_model(null()).is_null() && snake_detection_note(null(), 0).is_null());
-        assert!(snake_detection_voxel_size(null()).is_nan());
-    }
-}
-
-#[test]
-fn points_that_are_not_finite_or_far_from_all_others_are_left_out() {
-    let (points, model) = (torus(), compact());
-    let keypoints = detect(model, packed(&points), None).unwrap();
-    let bad = [[f32::NAN, 0.0, 0.0], [0.0, f32::INFINITY, 0.0], [1e6, 0.0, 0.0]];
-    let with_bad = [&bad, &points[..]].concat();
-    // The index counts all points.
-    let expected: Vec<_> = keypoints
-        .iter()
-        .map(|keypoint| SnakeKeypoint { nearest_index: keypoint.nearest_index + 3, ..*keypoint })
-        .collect();
-    assert_eq!(detect(model, packed(&with_bad), None).unwrap(), expected);
-    let transform = |source: &[[f32; 3]]| unsafe {
-        let mut registration = std::mem::zeroed();
-        let status = snake_register(model, packed(source), packed(&points), null(), &mut registration);
-        assert_eq!(status, SnakeStatus::Ok);
-        registration.t_target_source
-    };
-    assert_eq!(transform(&with_bad), transform(&points));
-    unsafe { snake_model_free(model) };
-}
-
 #[test]
 fn bad_clouds_and_options_are_errors() {
     let (points, model) = (torus(), compact());
@@ -183,30 +113,6 @@ fn bad_clouds_and_options_are_errors() {
         assert_eq!(snake_detection_num_keypoints(null()), 0);
         assert!(snake_detection_keypoints(null()).is_null());
     }
-}
-
-#[test]
-fn every_option_of_a_table_is_known_by_its_name() {
-    let (points, model) = (torus(), compact());
-    let cloud = packed(&points);
-    let refused = |name: &str, status: SnakeStatus| {
-        let said = last_error();
-        assert!(status == SnakeStatus::Option && said.contains(&format!("option `{name}` is {{}}")), "{said}");
-    };
-    for option in EncodeOptions::OPTIONS.iter().chain(DetectOptions::OPTIONS) {
-        let (status, _) = detect(model, cloud, Some(&format!("{{\"{}\": {{}}}}", option.name))).unwrap_err();
-        refused(option.name, status);
-    }
-    for option in RegisterOptions::OPTIONS {
-        let text = CString::new(format!("{{\"{}\": {{}}}}", option.name)).unwrap();
-        let mut registration = unsafe { std::mem::zeroed() };
-        refused(option.name, unsafe { snake_register(model, cloud, cloud, text.as_ptr(), &mut registration) });
-    }
-    let mut registration = unsafe { std::mem::zeroed() };
-    let status = unsafe { snake_register(model, cloud, cloud, c"{\"radius\": 1}".as_ptr(), &mut registration) };
-    assert_eq!(status, SnakeStatus::Option);
-    assert!(last_error().contains("unknown option `radius`; the options are "), "{}", last_error());
-    unsafe { snake_model_free(model) };
 }
 
 #[test]

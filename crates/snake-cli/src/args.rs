@@ -118,9 +118,9 @@ pub enum Command {
     /// and ICP refines the best. The poses may be arbitrary, but both clouds must have the same units. `t_target_source`
     /// maps a point of the source into the target's frame: p_target = R p_source + t.
     ///
-    /// The first line says whether the transform is reliable, and with what confidence (0 to 1). The inliers are the matches
-    /// that agree with the transform before ICP. The result after ICP has a figure of its own: the share of the source's voxels
-    /// near a voxel of the target.
+    /// The first line says whether the transform is reliable (of rooms: within 15 degrees and 0.3 m of the truth), and with what
+    /// confidence, 0 to 1. The inliers are the matches that agree with the transform before ICP. The result after ICP has a
+    /// figure of its own: the share of the source's voxels near a voxel of the target.
     ///
     /// Exit code: 0 if a transform was found, 1 if it is not reliable and --require-reliable is given, 2 otherwise. A
     /// transform that is not reliable is a result too: a person may look at it, and another program may check it in its own

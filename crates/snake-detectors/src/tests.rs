@@ -173,23 +173,6 @@ fn lengths_that_cannot_be_used_are_refused() {
 }
 
 #[test]
-fn other_options_out_of_range_are_refused() {
-    let points = cube(5);
-    let refused = [
-        iss(&points, &IssOptions::default().with_gamma_21(0.0)),
-        iss(&points, &IssOptions::default().with_gamma_32(f64::NAN)),
-        harris3d(&points, &Harris3dOptions::default().with_threshold(f64::NAN)),
-        sift3d(&points, &Sift3dOptions::default().with_octaves(0)),
-        sift3d(&points, &Sift3dOptions::default().with_scales_per_octave(1000)),
-        sift3d(&points, &Sift3dOptions::default().with_min_contrast(-1.0)),
-        Detector::Random.keypoints(&points, 0, Protocol::Ranked, 0),
-    ];
-    for (place, keypoints) in refused.into_iter().enumerate() {
-        assert!(matches!(keypoints, Err(Error::Option { .. })), "{place}");
-    }
-}
-
-#[test]
 fn the_paper_protocol_draws_and_fills_up() {
     let responses = |number| (0..number).map(|index| Response { index: index + 100, score: 1.0 }).collect::<Vec<_>>();
     let indices = |number, count, seed| -> Vec<usize> {

@@ -73,7 +73,7 @@ impl Temporary {
             let number = NUMBER.fetch_add(1, Ordering::Relaxed);
             let path = folder.join(format!("{prefix}{}-{number}{suffix}", std::process::id()));
             match File::create_new(&path) {
-                // Of a program that was killed, or that writes to the same folder from another machine.
+                // A file of a program that was killed, or that writes to the same folder from another machine.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
                 created => return Ok((Self { path, is_renamed: false }, created?)),
             }

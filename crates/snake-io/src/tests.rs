@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_geometry::{Covariance, Keypoint, Point, RigidTransform};
+use snake_geometry::{Covariance, Keypoint, Point};
 
 use super::*;
 use crate::table::shape::Shape;
@@ -82,20 +82,6 @@ fn meshes_can_be_sampled_and_contents_are_recognised() {
 }
 
 #[test]
-fn keypoints_read_back_as_points() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["a.ply", "b.NPY", "c.csv", "d.pcd"] {
-        let path = folder.path().join(name);
-        for keypoints in [&KEYPOINTS[..], &[]] {
-            write_keypoints(&path, keypoints, &KeypointSource::default()).unwrap();
-            let positions: Vec<_> = keypoints.iter().map(|keypoint| keypoint.position).collect();
-            assert_eq!(read_points(&path).unwrap(), positions, "{name}");
-        }
-    }
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "temporary files remain");
-}
-
-#[test]
 fn clouds_far_away_read_back_to_the_last_digit() {
     let folder = tempfile::tempdir().unwrap();
     let cloud = Cloud { points: CLOUD.to_vec(), origin: [524_288.0, 5_400_000.0, 128.0] };
@@ -117,49 +103,6 @@ fn clouds_far_away_read_back_to_the_last_digit() {
             Cloud { points: CLOUD.to_vec(), origin: [0.0; 3] }
         );
     }
-}
-
-#[test]
-fn clouds_and_registrations_read_back() {
-    let folder = tempfile::tempdir().unwrap();
-    let (cloud, json, text) = (folder.path().join("a.ply"), folder.path().join("b.json"), folder.path().join("c.TXT"));
-    write_points(&cloud, &CLOUD, [0.0; 3]).unwrap();
-    assert_eq!(read_points(&cloud).unwrap(), CLOUD);
-    let rows = [[0.6, -0.8, 1e-17, 3.5], [0.8, 0.6, 0.0, 1e7], [0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.0, 1.0]];
-    let t_target_source = RigidTransform::from_matrix(rows).unwrap();
-    let record = serde_json::json!({ "t_target_source": t_target_source, "num_inliers": 3, "rmse": 0.1 });
-    write_registration(&json, &t_target_source, &record).unwrap();
-    let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
-    assert_eq!(value, record);
-    write_registration(&text, &t_target_source, &record).unwrap();
-    assert_eq!(read_transform(&text).unwrap(), t_target_source);
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "temporary files remain");
-}
-
-#[test]
-fn a_failed_write_leaves_the_old_file_alone() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.ply");
-    write_keypoints(&path, &KEYPOINTS, &KeypointSource::default()).unwrap();
-    let before = std::fs::read(&path).unwrap();
-    let beyond_int = Keypoint { nearest_index: usize::MAX, ..KEYPOINTS[0] };
-    assert!(
-        matches!(write_keypoints(&path, &[beyond_int], &KeypointSource::default()), Err(Error::Io { path: p, .. }) if p == path)
-    );
-    assert_eq!(std::fs::read(&path).unwrap(), before);
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files remain");
-}
-
-#[cfg(unix)]
-#[test]
-fn written_files_have_ordinary_permissions() {
-    use std::os::unix::fs::PermissionsExt;
-    let folder = tempfile::tempdir().unwrap();
-    let (ours, ordinary) = (folder.path().join("a.csv"), folder.path().join("b"));
-    write_keypoints(&ours, &KEYPOINTS, &KeypointSource::default()).unwrap();
-    std::fs::write(&ordinary, "").unwrap();
-    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
-    assert_eq!(mode(&ours), mode(&ordinary));
 }
 
 #[test]

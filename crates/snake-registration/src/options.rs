@@ -167,29 +167,19 @@ impl RegisterOptions {
             given => Ok(given.filter(|_| self.needs_model())),
         }
     }
+}
 
-    /// Converts viewpoints, one for each cloud, to points relative to the clouds' origins (see
-    /// [`Cloud`](snake_geometry::Cloud)). A cloud with an origin other than zero is georeferenced:
-    /// no sensor stands at the zero of its frame. If such a cloud has no viewpoint, viewpoints are
-    /// not used.
-    pub fn place_viewpoints(&mut self, viewpoints: &mut [Option<[f64; 3]>], origins: &[[f64; 3]]) {
-        for (viewpoint, origin) in viewpoints.iter_mut().zip(origins) {
-            match viewpoint {
-                Some(viewpoint) => viewpoint.iter_mut().zip(origin).for_each(|(v, origin)| *v -= origin),
-                None => self.use_viewpoints &= *origin == [0.0; 3],
-            }
-        }
-    }
+/// A viewpoint relative to its cloud's origin (see [`Cloud`](snake_geometry::Cloud)).
+pub(crate) fn place_viewpoint(viewpoint: Option<[f64; 3]>, origin: [f64; 3]) -> Option<[f64; 3]> {
+    viewpoint.map(|viewpoint| std::array::from_fn(|axis| viewpoint[axis] - origin[axis]))
 }
 
 impl AlignPriors {
     /// Converts viewpoints and poses to points relative to the clouds' origins, and the common frame
-    /// to the origin of the first cloud; see [`RegisterOptions::place_viewpoints`].
-    pub fn place(&mut self, options: &mut RegisterOptions, origins: &[[f64; 3]]) {
-        if self.viewpoints.is_empty() {
-            self.viewpoints = vec![None; origins.len()];
-        }
-        options.place_viewpoints(&mut self.viewpoints, origins);
+    /// to the origin of the first cloud; see [`Cloud`](snake_geometry::Cloud).
+    pub fn place(&mut self, origins: &[[f64; 3]]) {
+        let placed = self.viewpoints.iter().zip(origins);
+        self.viewpoints = placed.map(|(viewpoint, origin)| place_viewpoint(*viewpoint, *origin)).collect();
         let frame = origins.first().copied().unwrap_or_default();
         for (pose, origin) in self.initial_poses.iter_mut().zip(origins) {
             *pose = pose.map(|pose| pose.subtract_origins(*origin, frame));
@@ -210,11 +200,10 @@ impl AlignPriors {
 
 impl PairOptions {
     /// Converts the viewpoints and the guess to points relative to the clouds' origins; see
-    /// [`RegisterOptions::place_viewpoints`].
-    pub fn place(&mut self, options: &mut RegisterOptions, source: [f64; 3], target: [f64; 3]) {
-        let mut viewpoints = self.viewpoints();
-        options.place_viewpoints(&mut viewpoints, &[source, target]);
-        [self.source_viewpoint, self.target_viewpoint] = viewpoints;
+    /// [`Cloud`](snake_geometry::Cloud).
+    pub fn place(&mut self, source: [f64; 3], target: [f64; 3]) {
+        self.source_viewpoint = place_viewpoint(self.source_viewpoint, source);
+        self.target_viewpoint = place_viewpoint(self.target_viewpoint, target);
         self.initial = self.initial.map(|initial| initial.subtract_origins(source, target));
     }
 

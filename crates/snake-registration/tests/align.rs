@@ -115,6 +115,7 @@ fn initial_poses_keep_storeys_with_one_floor_plan_apart() {
     assert_eq!(told.parts, [[0], [1], [2]]);
     let noted = |at: &Contradiction| at.distance > 2.5 && at.tolerance < 2.0 && at.source > at.target;
     assert!(!told.contradictions.is_empty() && told.contradictions.iter().all(noted), "{:?}", told.contradictions);
+    assert!(told.notes[0].contains("reliable registrations contradict the initial poses"), "{:?}", told.notes);
     // A greater tolerance allows them, and clouds without poses are placed by the others.
     assert_eq!(run(priors, Some(9.0)).parts, [[0, 1, 2]]);
 }

@@ -9,7 +9,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
-use snake_registration::{Axis, PairOptions, RegisterOptions, Registration, align, register, register_with};
+use snake_registration::{
+    Axis, PairOptions, RegisterOptions, Registration, ViewpointUsed, align, register, register_with,
+};
 
 use self::scenes::{Scene, Vec3, street};
 
@@ -84,6 +86,11 @@ fn object(count: usize, seed: u64) -> Vec<Point> {
         [cos * x - sin * y + 1.0, sin * x + cos * y, z - 0.4]
     };
     (0..count).map(|_| point()).collect()
+}
+
+/// A cloud whose frame has its origin elsewhere.
+fn at_site(cloud: Vec<Point>, site: Vec3) -> Vec<Point> {
+    cloud.into_iter().map(|point| std::array::from_fn(|axis| point[axis] + site[axis] as f32)).collect()
 }
 
 /// Whether `make test-full` runs, which tests whole grids.
@@ -464,4 +471,27 @@ fn posts_that_stand_still_beside_traffic_that_keeps_pace_make_it_ambiguous() {
     // If the sensor did stand still, nothing moved as a whole.
     let registration = run(&motorway(0.0, 1), &motorway(0.0, 2)).unwrap();
     assert!(registration.verdict.notes.iter().all(|note| !note.contains("as a whole")), "{registration:?}");
+}
+
+#[test]
+fn sensors_are_found_in_the_coordinates_of_a_site_and_nothing_wrong_is_reliable() {
+    let rays = lidar(-1.0, 1.0);
+    let eyes = [[2.0, 1.5, 1.4], [4.6, 2.9, 1.3]];
+    let scans = |seed| eyes.map(|at| room().seen(at, &rays, 30.0, 0.004, seed));
+    for site in [[30.0, -20.0, 5.0], [0.0; 3]] {
+        let placed = |scan, eye: Vec3| at_site(scan, std::array::from_fn(|axis| site[axis] + eye[axis]));
+        let [source, target] = scans(1);
+        let (source, target) = (placed(source, eyes[0]), placed(target, eyes[1]));
+        let registration = run(&source, &target).unwrap();
+        for (cloud, eye) in registration.clouds.iter().zip(eyes) {
+            let position = cloud.position.unwrap();
+            let off = (0..3).map(|axis| (position[axis] - site[axis] - eye[axis]).powi(2)).sum::<f64>().sqrt();
+            assert!(cloud.viewpoint == ViewpointUsed::Found && off < 0.1 && cloud.visible > Some(0.9), "{cloud:?}");
+        }
+        let (angle, distance) = registration.t_target_source.angle_and_distance_to(&RigidTransform::identity());
+        assert!((angle < 0.03 && distance < 0.1) || !registration.verdict.is_reliable, "{registration:?}");
+        // Of both scans as one cloud no sensor is known.
+        let merged: Vec<Point> = [source.clone(), target].concat();
+        assert_eq!(run(&source, &merged).unwrap().clouds[1].position, None);
+    }
 }

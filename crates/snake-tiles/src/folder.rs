@@ -57,7 +57,7 @@ impl RunFolder {
         }
         let (marker, content) = (self.marker(), if self.path.exists() { b"" } else { MADE });
         fs::create_dir_all(&self.path).and_then(|()| fs::write(&marker, content)).map_err(Error::file(&marker))?;
-        // Of two runs that begin in a new folder at once, at least one sees the other's marker.
+        // At least one of two runs that begin in a new folder at once sees the other's marker.
         self.refuse_others().map(drop).inspect_err(|_| drop(fs::remove_file(&marker)))
     }
 

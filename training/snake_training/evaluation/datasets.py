@@ -20,7 +20,7 @@ EVALUATION = "-evaluation"  # suffix of the folder with a scene's ground truth
 # Whether the clouds of a pair meet: points that are looked at, how near the other cloud is in resolutions, and their least share. Of 97
 # pairs of rooms with overlaps from 0.11 on, the least was 0.14, and 0.02 in the middle under wrong transforms.
 MEETING_POINTS, REACH, MEETING_SHARE, MEETING_PAIRS = 500, 3.0, 0.05, 50
-# Of the bodies of SMPL: their number, samples, and the widths of the ranges of random numbers from 0 to 1 about 0.
+# The bodies of SMPL: their number, samples, and the widths of the ranges of random numbers from 0 to 1 about 0.
 BODY_PAIRS, BODY_SAMPLES, POSE_RANGE, BETA_RANGE, BETAS = 100, 2048, 0.4, 0.06, 10
 
 

@@ -26,7 +26,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
     merged.as_deref().map(CloudFormat::from_path).transpose()?;
     let inputs = expand(&arguments.list.extend(&arguments.inputs)?, arguments.input.input_format)?;
     arguments.compute.begin(inputs.iter().chain(&arguments.initial_poses), output.iter().chain(merged))?;
-    let (mut options, align_options) = arguments.options()?;
+    let (options, align_options) = arguments.options()?;
     let initial_poses = read_initial_poses(arguments.initial_poses.as_deref(), &inputs)?;
     let chooser = arguments.compute.chooser_of_registration(&options)?;
     terminal::detail("options", || serde_json::to_string(&(&options, &align_options)).unwrap_or_default());
@@ -40,7 +40,7 @@ pub fn run(arguments: &AlignArguments) -> Result<u8> {
     let read = contents.into_iter().map(|contents| (contents.cloud, contents.notes));
     let (clouds, notes): (Vec<Cloud>, Vec<Vec<String>>) = read.unzip();
     let origins: Vec<[f64; 3]> = clouds.iter().map(|cloud| cloud.origin).collect();
-    known.place(&mut options, &origins);
+    known.place(&origins);
     let points: Vec<&[Point]> = clouds.iter().map(|cloud| &cloud.points[..]).collect();
     let control = Control::new().progress(&progress);
     // `align_with` makes the same check, but its error has only the number of the cloud.

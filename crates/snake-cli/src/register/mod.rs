@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use serde_json::json;
 use snake_core::{Control, Error, Progress, RigidTransform};
 use snake_io::{self as io, Attributes, Cloud, CloudFormat};
-use snake_registration::{Registration, ViewpointUsed, register_with, transform_points};
+use snake_registration::{Registration, register_with, transform_points};
 use snake_view::RegistrationPage;
 
 use crate::inputs::output_origin;
@@ -28,7 +28,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     arguments.compute.begin(inputs, output.iter().chain(aligned).chain(view))?;
     let progress = Progress::default();
     let control = Control::new().progress(&progress);
-    let (mut options, mut pair) = arguments.options()?;
+    let (options, mut pair) = arguments.options()?;
     if pair.estimate_scale && output.as_ref().is_some_and(|path| path.extension().is_some_and(|e| e == "txt")) {
         bail!("four rows of a .txt file do not hold the scale: name a .json file");
     }
@@ -44,7 +44,7 @@ pub fn run(arguments: &RegisterArguments) -> Result<u8> {
     let (source_cloud, target_cloud) = (source_contents.cloud, target_contents.cloud);
     terminal::detail("points", || format!("{} and {}", source_cloud.points.len(), target_cloud.points.len()));
     pair.initial = arguments.initial.as_deref().map(io::read_transform).transpose()?;
-    pair.place(&mut options, source_cloud.origin, target_cloud.origin);
+    pair.place(source_cloud.origin, target_cloud.origin);
     let chosen = chooser.as_ref().map(|chooser| chooser.for_cloud(&target_cloud));
     let chosen = chosen.transpose().with_context(|| target.display().to_string())?;
     chosen.iter().for_each(detail_of);
@@ -134,14 +134,15 @@ fn report(registration: &Registration, written: &[&Path]) -> Report {
         fit.rmse / fit.voxel_size,
         fit.voxel_size
     ));
-    if source.viewpoint == ViewpointUsed::None {
-        report.line("viewpoints: unknown");
-    } else {
-        let name = |used| if used == ViewpointUsed::Given { "given" } else { "the origin" };
-        let violation = 100.0 * verdict.free_space_violation;
-        let used = clouds.map(|cloud| name(cloud.viewpoint));
-        report.line(format!("viewpoints: {} and {}; {violation:.1} % of the voxels in free space", used[0], used[1]));
-    }
+    let used = clouds.map(|cloud| match (cloud.position, cloud.visible) {
+        (Some([x, y, z]), Some(visible)) => {
+            let name = cloud.viewpoint.name();
+            format!("{name} at ({x:.2}, {y:.2}, {z:.2}), which sees {:.0} % of the points", 100.0 * visible)
+        }
+        _ => "unknown".into(),
+    });
+    let violation = 100.0 * verdict.free_space_violation;
+    report.line(format!("viewpoints: {}; {}; {violation:.1} % of the voxels in free space", used[0], used[1]));
     for (rank, other) in hypotheses.iter().enumerate().skip(1) {
         report.line(format!("{}. {} matches, score {:.3}:", rank + 1, other.num_inliers, other.score));
         matrix(&mut report, &other.t_target_source);

@@ -8,22 +8,6 @@ use serde_json::Value;
 
 use super::{assert_refused, json_lines, report, root, sample, snake, stderr, succeed, write_npy};
 
-#[test]
-fn a_fault_of_the_cloud_is_a_note() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("far.xyz").display().to_string();
-    let mut points = snake_io::read_points(Path::new(&sample())).unwrap();
-    points.push([1e4, 0.0, 0.0]);
-    snake_io::write_points(path.as_ref(), &points, [0.0; 3]).unwrap();
-    let run = |extra: &[&str]| snake(&[&["detect", &path, "--json", "--set", "max_points=2000"], extra].concat());
-    let (plain, quiet) = (run(&[]), run(&["--quiet"]));
-    let note = "an outlier, left out";
-    assert!(stderr(&plain).contains("note:") && stderr(&plain).contains(note), "{}", stderr(&plain));
-    assert!(json_lines(&plain)[0]["notes"][0].as_str().unwrap().contains(note));
-    assert!(!stderr(&quiet).contains(note));
-    assert_eq!(json_lines(&quiet)[0]["notes"], json_lines(&plain)[0]["notes"]);
-}
-
 /// A sample of a made room.
 fn room() -> String {
     let folder = root().join("samples/room");
@@ -33,66 +17,10 @@ fn room() -> String {
 }
 
 #[test]
-fn option_that_changes_the_model_of_a_cloud_has_a_note() {
-    let detect = |path: &str, extra: &[&str]| {
-        let run = snake(&[&["detect", path, "--json", "--max-keypoints", "5"], extra].concat());
-        assert!(run.status.success(), "{}", stderr(&run));
-        let line = json_lines(&run)[0].clone();
-        let note = line["notes"].as_array().unwrap().iter().map(|note| note.as_str().unwrap().to_owned());
-        let note = note.into_iter().find(|note| note.contains("so the model is")).unwrap_or_default();
-        assert!(stderr(&run).contains(&note));
-        (line["model"].as_str().unwrap().to_owned(), note)
-    };
-    let none = String::new;
-    assert_eq!(detect(&room(), &[]), ("scenes, built-in".into(), none()));
-    assert_eq!(detect(&sample(), &["--rotations", "2"]), ("compact, built-in".into(), none()));
-    for (path, option, value, model, suited) in [
-        (room(), "rotations", "2", "compact", "scenes"),
-        (room(), "preset", "standard", "compact", "scenes"),
-        (sample(), "voxel_size", "3r", "scenes", "compact"),
-    ] {
-        let (name, note) = detect(&path, &[&format!("--{}", option.replace('_', "-")), value]);
-        assert_eq!(name, format!("{model}, built-in"));
-        let expected = format!("so the model is `{model}`; without it this cloud has `{suited}`");
-        assert!(note.starts_with(&format!("option `{option}` ")) && note.ends_with(&expected), "{note}");
-    }
-}
-
-#[test]
 fn verbose_options_are_those_of_the_model_of_the_cloud() {
     let said = stderr(&snake(&["detect", &room(), "-v"]));
     assert!(said.contains("scenes, built-in") && !said.contains("compact"), "{said}");
     assert!(said.contains(r#""nms_radius":"6.5v""#), "{said}");
-}
-
-#[test]
-fn detected_keypoints_lie_on_the_cloud() {
-    let report = report(&["detect", &sample(), "--json"]);
-    assert_eq!(report["num_points"], 4096);
-    let scale = report["normalization"]["scale"].as_f64().unwrap();
-    assert!(scale > 0.0 && report["normalization"]["center"].as_array().unwrap().len() == 3);
-    for step in ["read", "encode", "occupancy", "refine", "nms", "total"] {
-        assert!(report["timing_seconds"][step].as_f64().unwrap() >= 0.0, "{step}");
-    }
-    let count = |name: &str| report["counts"][name].as_u64().unwrap();
-    assert_eq!(count("queries"), 64 * 64 * 64);
-    assert!(count("queries") > count("occupied") && count("occupied") > count("above_threshold"));
-
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let keypoints = report["keypoints"].as_array().unwrap();
-    assert_eq!(keypoints.len() as u64, count("keypoints"));
-    assert!(keypoints.len() >= 10);
-    let mut last = 1.0;
-    for keypoint in keypoints {
-        let number = |key: &str| keypoint[key].as_f64().unwrap();
-        let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
-        let axes = ["x", "y", "z"].map(number);
-        let distance = (0..3).map(|axis| (axes[axis] - f64::from(nearest[axis])).powi(2)).sum::<f64>().sqrt();
-        // Two voxels of the 32³ volume, each 0.035 of the cloud's scale.
-        assert!(distance < 0.07 * scale, "{keypoint} is {distance} from the cloud");
-        assert!(number("saliency") <= last && number("occupancy") > 0.8);
-        last = number("saliency");
-    }
 }
 
 #[test]
@@ -120,25 +48,6 @@ fn timing_is_printed_to_stderr() {
         assert!(cells.len() == 3 && cells[0] <= cells[1] && cells[1] <= cells[2] + 5e-5, "{name}: {cells:?}");
     }
     assert_eq!(stderr(&snake(&["detect", &sample()])), "", "only where asked for");
-}
-
-#[test]
-fn options_reach_the_detector() {
-    let count = |extra: &[&str], name: &str| {
-        report(&[&["detect", &sample(), "--json"], extra].concat())["counts"][name].as_u64().unwrap()
-    };
-    assert_eq!(count(&["--set", "query_resolution=20"], "queries"), 8000);
-    assert_eq!(count(&["--max-keypoints", "5"], "keypoints"), 5);
-    assert!(count(&["--nms-radius", "0.5"], "keypoints") < 10);
-    assert_eq!(count(&["--saliency-threshold", "1"], "keypoints"), 0);
-    assert_eq!(count(&["--set", "occupancy_threshold=1"], "occupied"), 0);
-    assert_eq!(count(&["--preset", "redwood"], "queries"), 1_000_000);
-    let snapped = snake(&["detect", &sample(), "--json", "--set", "snap=true", "--max-keypoints", "3"]);
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    for keypoint in json_lines(&snapped)[0]["keypoints"].as_array().unwrap() {
-        let nearest = points[keypoint["nearest_index"].as_u64().unwrap() as usize];
-        assert_eq!(keypoint["x"].as_f64().unwrap() as f32, nearest[0]);
-    }
 }
 
 #[test]
@@ -180,16 +89,6 @@ fn a_bad_file_does_not_stop_the_others() {
     assert_eq!(written, ["b.keypoints.csv", "c.keypoints.csv"]);
 }
 
-#[test]
-fn keypoints_are_identical_for_any_number_of_threads() {
-    let keypoints =
-        |threads: &str| report(&["detect", &sample(), "--json", "--threads", threads])["keypoints"].to_string();
-    let one = keypoints("1");
-    assert!(one.len() > 1000);
-    assert_eq!(one, keypoints("2"));
-    assert_eq!(one, keypoints("7"));
-}
-
 /// More than two files a thread are processed side by side.
 #[test]
 fn many_files_are_reported_in_order_for_any_number_of_threads() {
@@ -222,18 +121,6 @@ fn many_files_are_reported_in_order_for_any_number_of_threads() {
 }
 
 #[test]
-fn subsampling_is_seeded_and_reported() {
-    let sampled = |seed: &str| {
-        report(&["detect", &sample(), "--json", "--set", "max_points=1500", "--set", &format!("seed={seed}")])
-    };
-    let first = sampled("1");
-    assert_eq!(first["keypoints"], sampled("1")["keypoints"]);
-    assert_ne!(first["keypoints"], sampled("2")["keypoints"]);
-    assert_eq!((&first["num_encoded"], &first["num_points"]), (&1500.into(), &4096.into()));
-    assert!(succeed(&["detect", &sample(), "--set", "max_points=1500"]).contains("(1500 encoded)"));
-}
-
-#[test]
 fn a_flat_table_has_no_keypoints_unless_all_are_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("table.npy");
@@ -251,31 +138,6 @@ fn a_flat_table_has_no_keypoints_unless_all_are_asked_for() {
     );
     let rows = detect(&["--min-confidence", "0", "--max-keypoints", "9"]);
     assert!(rows.contains(": 9 keypoints"), "{rows}");
-}
-
-/// 60 MB of coordinates: the file and the cloud are 120 MB, the cloud, a copy and the points by voxels 160 MB, and each
-/// thread reserves 64 MB.
-#[cfg(unix)]
-#[test]
-fn memory_is_proportional_to_the_number_of_points() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("large.npy");
-    // A ball: its points turn by the golden angle.
-    let point = |i: u32| {
-        let z = 2.0 * (f64::from(i) + 0.5) / 5e6 - 1.0;
-        let (flat, (sin, cos)) = ((1.0 - z * z).sqrt(), (f64::from(i) * 2.399_963_23).sin_cos());
-        [flat * cos, flat * sin, z].map(|v| v as f32)
-    };
-    let values: Vec<f32> = (0..5_000_000).flat_map(point).collect();
-    write_npy(&path, &[5_000_000, 3], &values);
-    let output = Command::new("sh")
-        .args(["-c", "ulimit -v 600000; exec \"$0\" detect \"$1\" --json --threads 2"])
-        .args([env!("CARGO_BIN_EXE_snake-cli").as_ref(), path.as_os_str()])
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
-    let report = &json_lines(&output)[0];
-    assert_eq!((&report["num_points"], &report["num_encoded"]), (&5_000_000.into(), &5_000_000.into()));
 }
 
 /// The points are 3.6 MB; their blocks would take gigabytes.
@@ -322,49 +184,6 @@ fn stdout_has_only_the_keypoints_in_a_pipe() {
 }
 
 #[test]
-fn sweeps_are_read_by_their_folder_or_by_the_named_format() {
-    let folder = tempfile::tempdir().unwrap();
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let keypoints = |name: &str, num_values: usize, arguments: &[&str]| {
-        let path = folder.path().join(name);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        let point = |p: &[f32; 3]| [&p[..], &vec![0.5; num_values - 3]].concat();
-        let bytes: Vec<u8> = points.iter().flat_map(point).flat_map(f32::to_le_bytes).collect();
-        std::fs::write(&path, bytes).unwrap();
-        report(&[&["detect", path.to_str().unwrap(), "--json"], arguments].concat())["keypoints"].clone()
-    };
-    let expected = report(&["detect", &sample(), "--json"])["keypoints"].clone();
-    assert_eq!(keypoints("velodyne/000000.bin", 4, &[]), expected);
-    assert_eq!(keypoints("any.bin", 4, &["--input-format", "kitti"]), expected);
-    assert_eq!(keypoints("sweep.pcd.bin", 5, &[]), expected);
-    assert_eq!(keypoints("any.bin", 5, &["--input-format", "nuscenes"]), expected);
-    let refused = snake(&["detect", folder.path().join("any.bin").to_str().unwrap()]);
-    assert!(stderr(&refused).contains("--input-format kitti"), "{}", stderr(&refused));
-}
-
-#[test]
-fn points_that_are_not_finite_are_skipped_and_counted() {
-    let folder = tempfile::tempdir().unwrap();
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let text: String = points.iter().map(|[x, y, z]| format!("nan nan nan\n{x} {y} {z}\n")).collect();
-    let path = folder.path().join("organized.xyz");
-    std::fs::write(&path, text).unwrap();
-    let path = path.display().to_string();
-    let (clean, with_nan) = (report(&["detect", &sample(), "--json"]), report(&["detect", &path, "--json"]));
-    assert_eq!((&with_nan["num_points"], &with_nan["num_skipped"]), (&8192.into(), &4096.into()));
-    assert_eq!(clean["num_skipped"], 0);
-    let pairs = clean["keypoints"].as_array().unwrap().iter().zip(with_nan["keypoints"].as_array().unwrap());
-    for (clean, with_nan) in pairs {
-        assert_eq!((&clean["x"], &clean["saliency"]), (&with_nan["x"], &with_nan["saliency"]));
-        let index = |keypoint: &Value| keypoint["nearest_index"].as_u64().unwrap();
-        assert_eq!(index(with_nan), 2 * index(clean) + 1);
-    }
-    assert!(succeed(&["detect", &path]).contains("from 8192 points (4096 not finite or outliers, skipped)"));
-    let registered = succeed(&["register", &path, &sample(), "--set", "max_keypoints=300"]);
-    assert!(registered.contains("skipped 4096 points of the source"), "{registered}");
-}
-
-#[test]
 fn meshes_are_sampled_and_keypointnet_is_written() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("02691156")).unwrap();
@@ -386,27 +205,6 @@ fn meshes_are_sampled_and_keypointnet_is_written() {
         assert_eq!(marked["pcd_info"]["point_index"], keypoint["nearest_index"]);
     }
     assert!(!shapes[0]["keypoints"].as_array().unwrap().is_empty());
-}
-
-#[test]
-fn missing_returns_are_left_out_with_a_note() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("zeros.npy");
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let points: Vec<f32> = points.into_iter().flat_map(|[x, y, z]| [x, y, z + 9.0, 0.0, 0.0, 0.0]).collect();
-    write_npy(&path, &[8192, 3], &points);
-    let path = path.display().to_string();
-    let note = "4096 of 8192 points (50 %) are at (0, 0, 0), as missing returns are written; they are left out";
-    let detected = snake(&["detect", &path, "--json"]);
-    assert!(json_lines(&detected)[0]["notes"][0].as_str().unwrap().starts_with(note));
-    assert_eq!(stderr(&detected).matches(note).count(), 1, "{}", stderr(&detected));
-    let registered = snake(&["register", &path, &sample()]);
-    assert!(
-        String::from_utf8_lossy(&registered.stdout).contains(&format!("source: {note}")),
-        "{}",
-        stderr(&registered)
-    );
-    assert!(!stderr(&snake(&["detect", &path, "--quiet"])).contains(note));
 }
 
 #[test]
@@ -450,24 +248,4 @@ fn many_clouds_that_are_written_end_with_a_summary() {
     for arguments in [&["detect", &input][..], &["detect", &one, "-o", &output]] {
         assert!(succeed(arguments).contains("a.ply: "), "{arguments:?}");
     }
-}
-
-#[test]
-fn min_confidence_keeps_the_good_keypoints() {
-    let sample = root().join("samples/plane.ply").display().to_string();
-    let detect = |arguments: &[&str]| {
-        report(&[&["detect", &sample, "--json"], arguments].concat())["keypoints"].as_array().unwrap().clone()
-    };
-    let all = detect(&["--model", "compact"]);
-    let confidence = |keypoint: &Value| keypoint["confidence"].as_f64().unwrap();
-    assert!(all.is_sorted_by(|a, b| confidence(a) >= confidence(b)));
-    let good: Vec<Value> = all.iter().filter(|keypoint| confidence(keypoint) >= 0.75).cloned().collect();
-    assert!(!good.is_empty() && good.len() < all.len());
-    assert_eq!(detect(&["--model", "compact", "--min-confidence", "0.75"]), good);
-    assert_eq!(detect(&["--model", "compact", "--set", "min_confidence=0.75"]), good);
-    assert_eq!(detect(&["--model", "compact", "--min-confidence", "0"]), all);
-    let golden = root().join("tests/golden/tiny/weights.safetensors").display().to_string();
-    assert!(detect(&["--model", &golden]).iter().all(|keypoint| keypoint["confidence"].is_null()));
-    let refused = snake(&["detect", &sample, "--model", &golden, "--min-confidence", "0.5"]);
-    assert!(!refused.status.success() && stderr(&refused).contains("no map of confidences"), "{}", stderr(&refused));
 }

@@ -130,25 +130,13 @@ fn columns_can_be_chosen_in_every_command() {
     for columns in ["e,n,h", "2,3,4"] {
         assert_eq!(report(&["detect", &untold, "--json", "--columns", columns]).0["keypoints"], expected["keypoints"]);
     }
-    let page = clouds.path("page.html");
-    let (mesh, picture) = (clouds.path("mesh.ply"), clouds.path("field.png"));
-    for command in [
-        &["detect", &untold][..],
-        &["register", &untold, &near],
-        &["reconstruct", &untold, "-o", &mesh],
-        &["field", &untold, "-o", &picture],
-        &["view", &untold, "-o", &page],
-    ] {
-        let refused = snake(command);
-        let said = String::from_utf8_lossy(&refused.stderr).into_owned() + &String::from_utf8_lossy(&refused.stdout);
-        assert!(!refused.status.success() && said.contains("--columns x,y,z") && said.contains("2 `e`"), "{said}");
-    }
-    for command in [
-        &["register", &untold, &untold][..],
-        &["reconstruct", &untold, "-o", &mesh],
-        &["field", &untold, "-o", &picture],
-        &["view", &untold, "-o", &page],
-    ] {
+    let refused = snake(&["register", &untold, &near]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains("--columns x,y,z") && said.contains("2 `e`"), "{said}");
+    let (mesh, page) = (clouds.path("mesh.ply"), clouds.path("page.html"));
+    for command in
+        [&["register", &untold, &untold][..], &["reconstruct", &untold, "-o", &mesh], &["view", &untold, "-o", &page]]
+    {
         succeed(&[command, &["--columns", "e,n,h"]].concat());
     }
     for (columns, expected) in [("e,n,up", "no column `up`"), ("1,2", "three names"), ("0,1,2", "begin at 1")] {
@@ -156,23 +144,4 @@ fn columns_can_be_chosen_in_every_command() {
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && said.contains(expected), "{said}");
     }
-}
-
-#[test]
-fn using_the_vertices_of_a_mesh_prints_a_warning() {
-    let folder = tempfile::tempdir().unwrap();
-    let mesh = folder.path().join("cube.off").display().to_string();
-    let corners: String = (0..8).map(|i| format!("{} {} {}\n", i & 1, i >> 1 & 1, i >> 2)).collect();
-    let faces = "4 0 1 3 2\n4 4 5 7 6\n4 0 1 5 4\n4 2 3 7 6\n4 0 2 6 4\n4 1 3 7 5\n";
-    std::fs::write(&mesh, format!("OFF\n8 6 12\n{corners}{faces}")).unwrap();
-    let said = |extra: &[&str]| report(&[&["detect", &mesh, "--json"], extra].concat()).1;
-    let text = said(&[]);
-    assert!(text.contains("its 8 vertices are used; `sample` draws points"), "{text}");
-    assert_eq!(said(&["--sample", "2000"]) + &said(&["--quiet"]), "");
-    assert_eq!(report(&["detect", &sample(), "--json"]).1, "");
-    // The faces of the cube twice, and one that is far larger.
-    let faces = format!("{faces}{faces}3 0 1 8\n");
-    std::fs::write(&mesh, format!("OFF\n9 13 0\n{corners}0 1000 0\n{faces}")).unwrap();
-    let text = said(&["--sample", "2000"]);
-    assert!(text.contains("one face holds 98 % of the mesh's surface"), "{text}");
 }

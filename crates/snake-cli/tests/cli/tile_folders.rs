@@ -67,22 +67,6 @@ fn a_run_that_is_killed_at_any_moment_continues_with_nothing_lost() {
 }
 
 #[test]
-fn another_run_in_a_folder_is_refused_and_the_same_one_beside_it_gives_the_same() {
-    let (folder, scan) = scan();
-    let path = |name: &str| folder.path().join(name);
-    let tiles = path("tiles").display().to_string();
-    let begin = |name: &str| detect(&scan, &path(name), &["--tile-folder", &tiles]).spawn().unwrap();
-    for child in [begin("a.csv"), begin("b.csv")] {
-        assert_eq!(outcome(child), (Some(0), String::new()));
-    }
-    let keypoints = fs::read(path("a.csv")).unwrap();
-    assert!(keypoints.len() > 500 && keypoints == fs::read(path("b.csv")).unwrap());
-    let (code, error) = run(&scan, &path("c.csv"), &["--tile-folder", &tiles, "--set", "seed=3"]);
-    assert!(code == Some(2) && error.contains("remove it") && error.contains("--tile-folder"), "{error}");
-    assert!(!path("c.csv").exists());
-}
-
-#[test]
 fn folders_of_the_user_are_refused_with_what_to_type() {
     let (folder, scan) = scan();
     let output = folder.path().join("keypoints.csv");

@@ -70,15 +70,6 @@ fn every_sub_command_shows_examples() {
     }
 }
 
-#[test]
-fn every_shell_gets_completions() {
-    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let script = stdout(&snake(&["completions", shell]));
-        assert!(script.contains("nms-radius") && script.contains("register"), "{shell}: {script}");
-    }
-    assert_eq!(snake(&["completions", "cmd"]).status.code(), Some(2));
-}
-
 #[cfg(unix)]
 #[test]
 fn bash_completes_sub_commands_and_their_options() {
@@ -192,33 +183,6 @@ fn colours_are_for_terminals() {
 }
 
 #[test]
-fn lengths_can_be_multiples_of_the_resolution() {
-    let points = snake_io::read_points(Path::new(&sample())).unwrap();
-    let in_units = |multiple: f64| {
-        let length = snake_core::Length::Resolutions(multiple).in_units("length", &points).unwrap();
-        length.to_string()
-    };
-    let detected = |radius: &str| keypoints(&snake(&["detect", &sample(), "--json", "--nms-radius", radius]));
-    assert_eq!(detected("6r"), detected(&in_units(6.0)));
-    assert_ne!(detected("6r"), detected("0"));
-    let registered = |voxel: &str, inlier: &str| {
-        let fixed = ["register", &sample(), &sample(), "--json", "--set", "max_keypoints=200"];
-        let lengths = ["--voxel-size", voxel, "--set", &format!("inlier_distance={inlier}")];
-        let result: Value = serde_json::from_str(&stdout(&snake(&[&fixed[..], &lengths].concat()))).unwrap();
-        (result["t_target_source"].clone(), result["matches"].clone())
-    };
-    assert_eq!(registered("2r", "3r"), registered(&in_units(2.0), &in_units(3.0)));
-    for option in [["--voxel-size", "3x"], ["--set", "normal_radius=3x"], ["--set", "inlier_distance=3x"]] {
-        let output = snake(&[&["register", &sample(), &sample()], &option[..]].concat());
-        let name = option[if option[0] == "--set" { 1 } else { 0 }].split('=').next().unwrap();
-        assert!(stderr(&output).contains("such as `6r`") && stderr(&output).contains(name), "{}", stderr(&output));
-    }
-    for wrong in ["3x", "r", "wide"] {
-        assert_refused(&snake(&["detect", &sample(), "--nms-radius", wrong]), "such as `6r`");
-    }
-}
-
-#[test]
 fn quoted_patterns_are_expanded() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("deep")).unwrap();
@@ -261,18 +225,6 @@ pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option
     // Without its terminal the call would continue where hang-ups are ignored, as under `nohup`.
     Command::new("pkill").args(["-KILL", "-P", &child.0.id().to_string()]).status().ok();
     Some(shown)
-}
-
-/// Long calls on a pseudo-terminal: minutes of work, ended once the expected time is shown.
-#[cfg(target_os = "linux")]
-#[test]
-fn a_long_call_shows_the_remaining_time() {
-    let folder = tempfile::tempdir().unwrap();
-    let cloud = sample();
-    for command in [format!("detect '{cloud}'"), format!("view '{cloud}' -o page.html")] {
-        let options = "--rotations 8 --set refine_steps=120 --set query_band=0 --set occupancy_threshold=0";
-        shown_on_terminal(&format!("{command} {options}"), folder.path(), "refinement (ETA ");
-    }
 }
 
 /// A program that is killed when the test is done with it, however the test ends.
@@ -330,36 +282,6 @@ fn an_interrupt_leaves_only_complete_files() {
         let path = entry.unwrap().path();
         assert!(path.display().to_string().ends_with(".keypoints.ply"), "{}", path.display());
         assert!(!snake_io::read_points(&path).unwrap().is_empty(), "{}", path.display());
-    }
-}
-
-#[test]
-fn every_option_with_a_value_shows_its_default() {
-    // Files are read or written only if they are named, and these two begin another way of working.
-    const WITHOUT: [&str; 13] = [
-        "output",
-        "aligned",
-        "view",
-        "merged",
-        "initial",
-        "initial-poses",
-        "transform",
-        "tile",
-        "set",
-        "external",
-        "coverage",
-        "input-list",
-        "split",
-    ];
-    for (name, help) in helps(&[]) {
-        for entry in help.split("\n      --").skip(1) {
-            let entry = entry.split("\n  -").next().unwrap();
-            let mut words = entry.split_whitespace();
-            let (option, value) = (words.next().unwrap(), words.next().unwrap_or_default());
-            if value.starts_with('<') && !WITHOUT.contains(&option) {
-                assert!(entry.contains("default"), "{name} --{option}: {entry}");
-            }
-        }
     }
 }
 

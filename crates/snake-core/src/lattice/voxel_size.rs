@@ -64,7 +64,7 @@ pub(crate) fn coarse_step(given: Option<Length>, cloud: &UsedCloud) -> Option<Co
     (size < step.length).then_some(step)
 }
 
-/// The size of the rule.
+/// The size of the rule: for the places of the surface, for the blocks of the volume, for the step of the coordinates.
 fn chosen(cloud: &UsedCloud, control: &Control) -> Result<f64> {
     let step = step_for_density(cloud, control)?;
     let least = cloud.coordinate_step().map(|CoordinateStep { length, .. }| step_of(length));
@@ -76,51 +76,56 @@ fn step_for_density(cloud: &UsedCloud, control: &Control) -> Result<i32> {
     if let Some(step) = cloud.voxel_step.get() {
         return Ok(*step);
     }
-    let points = cloud.points();
-    let lowest = lowest_corner(points);
-    let extent = points.iter().map(|point| offset(point, &lowest).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max);
+    let voxels = Voxels { points: cloud.points(), lowest: lowest_corner(cloud.points()) };
+    let extent = voxels.extent();
     if !(1e-15..1e15).contains(&extent) {
         let reason = format!("extent {extent:.1e}: a voxel size cannot be chosen; a cloud needs two different points");
         return Err(Error::Input { what: "points", reason });
     }
     let largest = step_of(extent);
     let share = SHARES[usize::from(cloud.is_sweep())];
-    let numbers = numbers_of_halves(points, &lowest, largest, share, control)?;
+    let step = step_for_places(&voxels, largest, share, control)?;
+    let step = step_for_blocks(&voxels, step, largest, control)?;
+    Ok(*cloud.voxel_step.get_or_init(|| step))
+}
+
+/// The smallest step at which at most a share as many voxels as places, and at most [`MAX_VOXELS`], hold points.
+fn step_for_places(voxels: &Voxels, largest: i32, share: f64, control: &Control) -> Result<i32> {
+    let numbers = numbers_of_halves(voxels, largest, share, control)?;
     let (&(mut too_small, places), larger) = numbers.split_last().expect("one voxel as large as the cloud");
     let most = MAX_VOXELS.min((share * places as f64) as usize).max(1);
-    // The smallest step that has few enough voxels.
     let mut fits = larger.iter().rfind(|(_, number)| *number <= most).map_or(largest + 1, |(step, _)| *step);
     while fits - too_small > 1 {
         control.check()?;
         let middle = too_small + (fits - too_small) / 2;
-        if num_voxels(points, &lowest, size_of(middle)) <= most { fits = middle } else { too_small = middle }
+        if voxels.number(middle) <= most { fits = middle } else { too_small = middle }
     }
-    // Voxels that stand alone have many blocks: those of rings far apart, and of a dense part in the midst of a wide cloud.
-    while fits <= largest && !is_within_budget(points, &lowest, size_of(fits)) {
+    Ok(fits)
+}
+
+/// The first step from one on at which the volume has at most [`MAX_BLOCKS`] blocks. Voxels that stand alone have many: those
+/// of rings far apart, and of a dense part in the midst of a wide cloud.
+fn step_for_blocks(voxels: &Voxels, from: i32, largest: i32, control: &Control) -> Result<i32> {
+    let mut step = from;
+    while step <= largest && !voxels.are_within_budget(size_of(step)) {
         control.check()?;
-        fits += 1;
+        step += 1;
     }
-    Ok(*cloud.voxel_step.get_or_init(|| fits))
+    Ok(step)
 }
 
 /// The numbers of voxels at steps from a voxel as large as the cloud down by halves. The last one is the number of places of
 /// the surface that the points tell apart, and voxels of its step are too small for a share of them. Beyond the budget of
 /// voxels places are not counted.
-fn numbers_of_halves(
-    points: &[Point],
-    lowest: &Point,
-    largest: i32,
-    share: f64,
-    control: &Control,
-) -> Result<Vec<(i32, usize)>> {
+fn numbers_of_halves(voxels: &Voxels, largest: i32, share: f64, control: &Control) -> Result<Vec<(i32, usize)>> {
     let smallest = largest - 6 * STEPS;
     let (mut step, mut number) = (largest, 1);
     let mut numbers = vec![(largest + 1, number)];
     while step > smallest && share * (number as f64) < MAX_VOXELS as f64 {
         control.check()?;
         step -= STEPS_OF_HALF;
-        let more = num_voxels(points, lowest, size_of(step));
-        let is_all = (more as f64) < NO_MORE * number as f64 && more * MAX_POINTS_A_PLACE >= points.len();
+        let more = voxels.number(step);
+        let is_all = (more as f64) < NO_MORE * number as f64 && more * MAX_POINTS_A_PLACE >= voxels.points.len();
         number = more;
         numbers.push((step, number));
         if is_all {
@@ -130,18 +135,51 @@ fn numbers_of_halves(
     Ok(numbers)
 }
 
-/// Whether the volume of a cloud in voxels of a size has at most [`MAX_BLOCKS`] blocks.
-fn is_within_budget(points: &[Point], lowest: &Point, size: f64) -> bool {
-    if points.iter().any(|point| offset(point, lowest).into_iter().any(|v| v / size + 0.5 >= f64::from(MAX_NODE))) {
-        return false;
+/// The voxels of a cloud at any size.
+struct Voxels<'a> {
+    points: &'a [Point],
+    lowest: Point,
+}
+
+impl Voxels<'_> {
+    /// How far a point lies above the lowest corner.
+    fn offset(&self, point: &Point) -> [f64; 3] {
+        std::array::from_fn(|axis| f64::from(point[axis]) - f64::from(self.lowest[axis]))
     }
-    let mut keys: Vec<u64> = points.iter().map(|point| key(point, lowest, size)).collect();
-    keys.par_sort_unstable();
-    keys.dedup();
-    // The lowest 21 bits of a place, with its sign.
-    let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
-    let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
-    FinestLevel::new(cells, MAX_BLOCKS).is_some()
+
+    fn extent(&self) -> f64 {
+        self.points.iter().map(|point| self.offset(point).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max)
+    }
+
+    /// The places of all points' voxels in order, as the [lattice](super::corner) has them: 21 bits each of z, y and x.
+    fn keys(&self, size: f64) -> Vec<u64> {
+        let key = |point| {
+            let [x, y, z] = self.offset(point).map(|v| (v / size + 0.5) as i64 as u64 & 0x1F_FFFF);
+            (z << 42) | (y << 21) | x
+        };
+        let mut keys: Vec<u64> = self.points.iter().map(key).collect();
+        keys.par_sort_unstable();
+        keys
+    }
+
+    /// The number of voxels of a step that hold points.
+    fn number(&self, step: i32) -> usize {
+        1 + self.keys(size_of(step)).windows(2).filter(|pair| pair[0] != pair[1]).count()
+    }
+
+    /// Whether the volume of voxels of a size has at most [`MAX_BLOCKS`] blocks.
+    fn are_within_budget(&self, size: f64) -> bool {
+        let is_outside = |point| self.offset(point).into_iter().any(|v| v / size + 0.5 >= f64::from(MAX_NODE));
+        if self.points.iter().any(is_outside) {
+            return false;
+        }
+        let mut keys = self.keys(size);
+        keys.dedup();
+        // The lowest 21 bits of a place, with its sign.
+        let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
+        let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
+        FinestLevel::new(cells, MAX_BLOCKS).is_some()
+    }
 }
 
 /// The first step of the series that is not below a size.
@@ -157,24 +195,6 @@ fn size_of(step: i32) -> f64 {
     if tens < 0 { SERIES[place] / 10_f64.powi(-tens) } else { SERIES[place] * 10_f64.powi(tens) }
 }
 
-/// The number of voxels of a size that hold points.
-fn num_voxels(points: &[Point], lowest: &Point, size: f64) -> usize {
-    let mut keys: Vec<u64> = points.iter().map(|point| key(point, lowest, size)).collect();
-    keys.par_sort_unstable();
-    1 + keys.windows(2).filter(|pair| pair[0] != pair[1]).count()
-}
-
-/// The place of a point's voxel, as the [lattice](super::corner) has them: 21 bits each of z, y and x.
-fn key(point: &Point, lowest: &Point, size: f64) -> u64 {
-    let [x, y, z] = offset(point, lowest).map(|v| (v / size + 0.5) as i64 as u64 & 0x1F_FFFF);
-    (z << 42) | (y << 21) | x
-}
-
-/// How far a point lies above the lowest corner.
-fn offset(point: &Point, lowest: &Point) -> [f64; 3] {
-    std::array::from_fn(|axis| f64::from(point[axis]) - f64::from(lowest[axis]))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -184,6 +204,10 @@ mod tests {
     fn square(n: usize, spacing: f32) -> Vec<Point> {
         let at = |i: usize| (i as f32 + 0.5) * spacing;
         (0..n * n).map(|i| [at(i % n), at(i / n), 0.0]).collect()
+    }
+
+    fn voxels(points: &[Point]) -> Voxels<'_> {
+        Voxels { points, lowest: lowest_corner(points) }
     }
 
     fn size(points: &[Point]) -> f64 {
@@ -232,7 +256,7 @@ mod tests {
         for (num_beams, num_columns) in [(8, 3600), (16, 1800), (16, 3600), (32, 1800), (128, 1024)] {
             let points = rings(num_beams, num_columns);
             let size = size(&points);
-            assert!(is_within_budget(&points, &lowest_corner(&points), size), "{num_beams} {size}");
+            assert!(voxels(&points).are_within_budget(size), "{num_beams} {size}");
             assert!((0.05..0.6).contains(&size), "{num_beams} {size}");
         }
     }
@@ -274,9 +298,8 @@ mod tests {
         for points in [all_scales, mixed] {
             let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
             let size = chosen(&cloud, &Control::default()).unwrap();
-            let lowest = lowest_corner(&points);
-            assert!(is_within_budget(&points, &lowest, size), "{size}");
-            assert!(!is_within_budget(&points, &lowest, size / 100.0), "{size}");
+            assert!(voxels(&points).are_within_budget(size), "{size}");
+            assert!(!voxels(&points).are_within_budget(size / 100.0), "{size}");
         }
     }
 }

@@ -117,8 +117,10 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
 /// The first of the points in each cubic cell, of cells that are shifted by a share of their side.
 fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Vec<Point> {
     let cell = |point: &Point| point.map(|v| (f64::from(v) / side + shift).floor() as i64);
-    let mut taken = HashSet::new();
-    points.iter().filter(|point| taken.insert(cell(point))).copied().collect()
+    let (mut taken, mut last) = (HashSet::new(), None);
+    // The points of a scan come in lines, so most lie in the cell of the one before.
+    let mut is_new = |cell| last.replace(cell) != Some(cell) && taken.insert(cell);
+    points.iter().filter(|point| is_new(cell(point))).copied().collect()
 }
 
 /// The distinct ones of finite points, each with its distance to the nearest other one; infinite if there is none.

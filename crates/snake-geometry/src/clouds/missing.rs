@@ -14,8 +14,10 @@ const TOLERANCE: f64 = 1e-4;
 const MIN_SPREAD: f64 = 1e-3;
 /// A plane of missing returns is farther from the sensor than this many distances of the farthest other point.
 const MIN_DEPTH: f64 = 1.5;
-/// A cloud of which a smaller share would be left keeps its points: a ball around the origin is a ball.
+/// A cloud of which a smaller share would be left keeps its points.
 const MIN_LEFT: f64 = 0.05;
+/// And so does one of which more points are at one distance or depth: a dome around the sensor, or a wall behind things.
+const MAX_AT_DISTANCE: f64 = 0.5;
 /// A place has at least so many copies for each copy of another point.
 const MIN_COPIES: f64 = 5.0;
 /// Other points have at most so many copies, if the sensor is not known: a mesh repeats its vertices.
@@ -51,6 +53,10 @@ pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Opt
 
 fn number_of(is_missing: &[bool]) -> usize {
     is_missing.iter().filter(|missing| **missing).count()
+}
+
+fn is_surface(is_at: &[bool]) -> bool {
+    number_of(is_at) as f64 > MAX_AT_DISTANCE * is_at.len() as f64
 }
 
 fn leaves_enough(is_missing: &[bool]) -> bool {
@@ -115,7 +121,7 @@ impl<'a> Returns<'a> {
             let is_missing: Vec<bool> = distances().map(is_at).collect();
             let shell = self.points.iter().zip(&is_missing).filter(|(_, missing)| **missing);
             let shell: Vec<Vector> = shell.map(|(point, _)| vector(*point)).collect();
-            let faces_all_ways = leaves_enough(&is_missing) && least_spread(&shell) > MIN_SPREAD * distance;
+            let faces_all_ways = !is_surface(&is_missing) && least_spread(&shell) > MIN_SPREAD * distance;
             faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
         })
     }
@@ -139,10 +145,12 @@ impl<'a> Returns<'a> {
             if at_depth().count() < self.min_count || is_vertex {
                 return None;
             }
+            let is_missing: Vec<bool> = points.iter().map(is_at).collect();
             let others = points.iter().filter(|point| !is_at(point));
             let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
+            let is_behind = depth.abs() > MIN_DEPTH * farthest && !is_surface(&is_missing);
             let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
-            (depth.abs() > MIN_DEPTH * farthest).then(|| (points.iter().map(is_at).collect(), place))
+            is_behind.then_some((is_missing, place))
         })
     }
 }

@@ -10,6 +10,7 @@ mod mesh;
 mod missing;
 mod outliers;
 mod points;
+mod sensor;
 
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use covariance::Covariance;
@@ -18,3 +19,4 @@ pub use length::{Length, gaps, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
 pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};
+pub use sensor::Sensor;

@@ -2,8 +2,6 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use rayon::prelude::*;
-
 use crate::{Error, Point, Result};
 
 /// Smaller parts of the tree are searched point by point.
@@ -60,10 +58,10 @@ impl PointTree {
 
     /// The squared distance of each point to its nearest other one; infinite for one point.
     ///
-    /// The points are asked in the order of the tree: near ones follow each other, and what they look at is still in the cache.
+    /// Each search begins in the part of the point, and goes out to the parts beyond the planes that are near enough.
     pub fn nearest_others(&self) -> Vec<f64> {
-        let distance = |node: &Node| self.nearest::<f64>(&node.point, Some(node.index as usize)).0;
-        let by_node: Vec<f64> = self.0.par_iter().map(distance).collect();
+        let mut by_node = vec![f64::INFINITY; self.0.len()];
+        nearest_others(&self.0, None, &mut by_node);
         let mut distances = vec![0.0; self.0.len()];
         self.0.iter().zip(by_node).for_each(|(node, distance)| distances[node.index as usize] = distance);
         distances
@@ -90,6 +88,45 @@ fn split(nodes: &mut [Node]) -> u32 {
     middle.axis = axis as u32;
     middle.lowest = middle.index.min(first).min(last);
     middle.lowest
+}
+
+/// The parts beyond the planes about a part, from the last plane to the first.
+struct Beyond<'a> {
+    middle: &'a Node,
+    far: &'a [Node],
+    further: Option<&'a Beyond<'a>>,
+}
+
+/// Writes the squared distance of each point of a part to its nearest other point of the tree.
+fn nearest_others(nodes: &[Node], beyond: Option<&Beyond>, distances: &mut [f64]) {
+    let nearest = |node: &Node| {
+        let (but, mut best) = (Some(node.index as usize), (f64::INFINITY, u32::MAX));
+        search(nodes, &node.point, but, &mut best);
+        for Beyond { middle, far, .. } in std::iter::successors(beyond, |beyond| beyond.further) {
+            let axis = middle.axis as usize;
+            let offset = f64::from(node.point[axis]) - f64::from(middle.point[axis]);
+            if offset * offset < best.0 {
+                look(middle, &node.point, but, &mut best);
+                search(far, &node.point, but, &mut best);
+            }
+        }
+        best.0
+    };
+    if nodes.len() <= LEAF {
+        nodes.iter().zip(distances).for_each(|(node, distance)| *distance = nearest(node));
+        return;
+    }
+    let at = nodes.len() / 2;
+    let (before, [middle, after @ ..]) = nodes.split_at(at) else { return };
+    let (low, [own, high @ ..]) = distances.split_at_mut(at) else { return };
+    *own = nearest(middle);
+    let go = |part, far, distances| nearest_others(part, Some(&Beyond { middle, far, further: beyond }), distances);
+    if nodes.len() < PART {
+        go(before, after, low);
+        go(after, before, high);
+    } else {
+        rayon::join(|| go(before, after, low), || go(after, before, high));
+    }
 }
 
 fn search<T: Real>(nodes: &[Node], query: &Point, but: Option<usize>, best: &mut Nearest<T>) {

@@ -100,7 +100,7 @@ impl RigidTransform {
     /// The angle between the two rotations, in radians, and the distance between the two translations.
     pub fn angle_and_distance_to(&self, other: &Self) -> (f64, f64) {
         let distance = (self.0.translation.vector - other.0.translation.vector).norm();
-        // Of a rotation by almost nothing, nalgebra's own angle is the arc cosine of more than 1 as often as not.
+        // nalgebra's own angle of a rotation by almost nothing is the arc cosine of more than 1 as often as not.
         let difference = self.0.rotation.rotation_to(&other.0.rotation);
         (UnitQuaternion::from_rotation_matrix(&difference).angle(), distance)
     }

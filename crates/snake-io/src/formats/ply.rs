@@ -329,17 +329,6 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_that_are_not_finite_come_through() {
-        for scalar in ["float", "double"] {
-            let xyz = format!("property {scalar} x\nproperty {scalar} y\nproperty {scalar} z\n");
-            let text = format!("ply\nformat ascii 1.0\nelement vertex 2\n{xyz}property {scalar} w\nend_header\n");
-            let points = read(format!("{text}1 -nan inf nan\n4 5 6 nan\n").as_bytes()).unwrap();
-            assert!(points[0][0] == 1.0 && !points[0][1].is_finite() && !points[0][2].is_finite(), "{points:?}");
-            assert_eq!(points[1], [4.0, 5.0, 6.0]);
-        }
-    }
-
-    #[test]
     fn faces_are_polygons_in_every_encoding_and_type() {
         let quads = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n\
             property uchar quality\nproperty list uchar KIND vertex_index\nend_header\n";
@@ -414,16 +403,6 @@ mod tests {
         assert!(read(b"solid cube").unwrap_err().starts_with("not a PLY file"));
         let none = format!("ply\nformat binary_big_endian 1.0\nelement vertex 0\n{xyz}end_header\n");
         assert!(read(none.as_bytes()).unwrap().is_empty());
-    }
-
-    #[test]
-    fn hostile_headers_cost_little() {
-        let long_name = "n".repeat(1 << 15);
-        let many = "property char a\n".repeat(1500);
-        read(format!("ply\nformat ascii 1.0\nelement {long_name} 1\n{many}end_header\n").as_bytes()).unwrap_err();
-        // The list claims 4e9 items.
-        let list = "ply\nformat binary_little_endian 1.0\nelement face 1\nproperty list uint double a\nend_header\n";
-        read(&[list.as_bytes(), &[255; 64]].concat()).unwrap_err();
     }
 
     #[test]

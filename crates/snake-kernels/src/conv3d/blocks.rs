@@ -4,7 +4,7 @@
 //! A volume stores the differences of its voxels from a constant vector, which every voxel far from the points has. So a
 //! voxel without a block is zero, and the padding beyond the last block is exact. A layer computes
 //! `relu(W x + bias) - constant`, where `bias` holds what the constant of its input adds, and `constant = relu(bias)`.
-//! Of several inputs the sums `W x` are added one after another, so that an input needs no memory while the next is made.
+//! The sums `W x` of several inputs are added one after another: an input needs no memory while the next is made.
 
 use rayon::prelude::*;
 
@@ -20,8 +20,17 @@ pub const BLOCK_SIDE: usize = MAX_TILE;
 /// Voxels of a block.
 pub const BLOCK_VOXELS: usize = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE;
 
-/// Inputs of a tile with M = 4 along each axis.
-const N: usize = BLOCK_SIDE + 2;
+/// Inputs and points along each axis of the tile of a block, with M = 4.
+const SAME: usize = BLOCK_SIDE + 2;
+
+/// Points along each axis of a tile of an upsampled block, with M = 2.
+const UPSAMPLED: usize = 3;
+
+/// Inputs along each axis that both tiles of an upsampled block read, ...
+const SHARED_INPUTS: usize = 4;
+
+/// ... and the points of both tiles, which share the middle one.
+const SHARED_POINTS: usize = 2 * UPSAMPLED - 1;
 
 /// Blocks of an upsampled source that are multiplied together: their products stay in the second-level cache.
 const BATCH_UPSAMPLED: usize = 4;
@@ -34,17 +43,17 @@ pub struct BlockSource<'a> {
     pub values: &'a [f32],
     /// Channels of this volume.
     pub channels: usize,
-    /// For each output block the blocks of this volume about it, x fastest. Of an upsampled volume: about the block that
-    /// covers the output block.
+    /// For each output block the blocks of this volume about it, x fastest; if this volume is upsampled, those about the block
+    /// that covers the output block.
     pub neighbors: &'a [[u32; 27]],
-    /// Of a volume that is upsampled by two: the half of the covering block in which each output block lies; bit 0 is x,
-    /// bit 1 is y, bit 2 is z.
+    /// The half of the covering block in which each output block lies, if this volume is upsampled by two; bit 0 is x, bit 1
+    /// is y, bit 2 is z.
     pub halves: Option<&'a [u8]>,
 }
 
 impl BlockSource<'_> {
-    /// Where the values about an output block lie: COUNT voxels along each axis, from the one before the block on. Of an upsampled
-    /// volume each voxel counts once.
+    /// Where the values about an output block lie: COUNT voxels along each axis, from the one before the block on. A voxel of an
+    /// upsampled volume counts once.
     #[inline(always)]
     fn about<const COUNT: usize>(&self, output: usize) -> About<COUNT> {
         let size = BLOCK_VOXELS * self.channels;
@@ -76,7 +85,7 @@ impl<const COUNT: usize> About<COUNT> {
     /// Where the values of the voxels at these places along x and y begin.
     #[inline(always)]
     fn along_z(&self, x: usize, y: usize) -> [usize; COUNT] {
-        let first = if COUNT == N { [BLOCK_SIDE - 1; 3] } else { self.first };
+        let first = if COUNT == SAME { [BLOCK_SIDE - 1; 3] } else { self.first };
         let [x, y] = [first[0] + x, first[1] + y];
         let starts = self.starts[y / BLOCK_SIDE * 3 + x / BLOCK_SIDE];
         let place = (y % BLOCK_SIDE * BLOCK_SIDE + x % BLOCK_SIDE) * self.channels;
@@ -147,10 +156,10 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     if conv.layer.tile == 2 {
         // Eight tiles a block.
         for (number, output) in output.chunks_mut(BATCH_UPSAMPLED * BLOCK_VOXELS * conv.layer.outputs).enumerate() {
-            tiles_of_blocks::<L, ROWS, 3>(token, conv, buffers, first + number * BATCH_UPSAMPLED, output);
+            tiles_of_blocks::<L, ROWS, UPSAMPLED>(token, conv, buffers, first + number * BATCH_UPSAMPLED, output);
         }
     } else {
-        tiles_of_blocks::<L, ROWS, 6>(token, conv, buffers, first, output);
+        tiles_of_blocks::<L, ROWS, SAME>(token, conv, buffers, first, output);
     }
 }
 
@@ -197,7 +206,7 @@ fn tiles_of_blocks<L: Lanes, const ROWS: usize, const POINTS: usize>(
                     for (z, value) in outputs_of_axis(column).into_iter().enumerate().take(side) {
                         let voxel = first_voxel + (z * BLOCK_SIDE + y) * BLOCK_SIDE + x;
                         let output = &mut output[voxel * layer.outputs + out * LANES..];
-                        // Of the next block.
+                        // The next block's.
                         L::prefetch(output.as_ptr().wrapping_add(BLOCK_VOXELS * layer.outputs));
                         let value = if adds { value.add(load(token, output, lanes)) } else { value };
                         let value = match terms {
@@ -235,10 +244,10 @@ impl Gather for BlocksFrom<'_> {
 
     #[inline(always)]
     fn transform<L: Lanes, const M: usize>(&self, token: L::Token, block: &Block, to: &mut [f32], pitch: usize) {
-        if M == N {
-            self.transform_about::<L, N, N>(token, block, to, pitch);
+        if M == SAME {
+            self.transform_about::<L, SAME, SAME>(token, block, to, pitch);
         } else {
-            self.transform_about::<L, 4, 5>(token, block, to, pitch);
+            self.transform_about::<L, SHARED_INPUTS, SHARED_POINTS>(token, block, to, pitch);
         }
     }
 }
@@ -255,7 +264,7 @@ impl BlocksFrom<'_> {
     ) {
         let source = &self.conv.source;
         let zero = L::splat(token, 0.0);
-        let tiles = if INPUTS == N { 1 } else { 8 };
+        let tiles = if INPUTS == SAME { 1 } else { 8 };
         // `[x][z][y]`, and the values along z of one x.
         let mut columns = [[[zero; POINTS]; POINTS]; INPUTS];
         let mut rows = [[zero; POINTS]; INPUTS];

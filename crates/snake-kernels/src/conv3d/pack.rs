@@ -143,7 +143,7 @@ impl PackedConv3d {
         for &(channels, upsampled) in sources {
             let filters = weight.chunks_exact(27 * inputs);
             let part: Vec<f32> = filters.flat_map(|filter| &filter[27 * before..][..27 * channels]).copied().collect();
-            // Of an upsampled source the small tiles need as many products as the large ones, and an eighth of the weights.
+            // Small tiles of an upsampled source need as many products as large ones, and an eighth of the weights.
             parts.push(Self::new(&[(channels, upsampled)], outputs, &part, if upsampled { 2 } else { 4 }));
             before += channels;
         }

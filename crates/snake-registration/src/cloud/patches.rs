@@ -26,12 +26,17 @@ const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
 /// Largest ratio of the variance across a planar patch to the smaller variance along it. Unit: ratio of variances. Half
 /// and twice change no outcome.
 const MAX_THICKNESS: f64 = 0.15;
+/// The same of a patch that the last refinement weighs by its noise, such as a far wall of a depth frame. Chosen on made
+/// rooms of depth frames.
+const MAX_NOISY_THICKNESS: f64 = 0.3;
 /// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled disc has 0.25. Points
 /// where a beam crosses an edge have less: they lie on a plane that is no part of the surface. Unit: ratio of
 /// variances. Set by hand.
 const MIN_WIDTH: f64 = 0.1;
 /// The normals of two patches agree if their cosine is above this. Set by hand.
 pub(crate) const AGREEING_COSINE: f64 = 0.9;
+/// The same of patches that are weighed by their noise. Chosen on made rooms of depth frames.
+const AGREEING_NOISY_COSINE: f64 = 0.8;
 /// Number of the source's fine voxels that are paired, at most. Set for time (0.08 instead of 0.11 s of CPU for a pair
 /// of made streets).
 const SAMPLES: usize = 2500;
@@ -43,6 +48,12 @@ const MIN_PLANAR: f64 = 0.5;
 /// Two patches coincide if their distance is below this many of their joint thicknesses. Unit: standard deviations.
 /// Half and twice change no outcome.
 const COINCIDING: f64 = 2.0;
+/// They lie apart beyond this many. Unit: standard deviations. With 2 real rooms, which drift, have as many as slid slopes.
+const APART: f64 = 4.0;
+/// And beyond this: surfaces without noise have no thickness. Unit: greatest distances.
+const MIN_APART: f64 = 0.05;
+/// The noise of a pair of patches, at least. Unit: fine voxels. Set by hand.
+const MIN_NOISE: f64 = 0.05;
 /// A surface farther from a place does not tell whether the place lies on it. Unit: inlier distances. Half and twice
 /// change no outcome.
 pub(crate) const NEAR: f64 = 0.5;
@@ -54,11 +65,14 @@ const MAX_APART: f64 = 0.25;
 /// Fewer patches do not show whether the surfaces coincide. Half and twice change no outcome.
 pub(crate) const MIN_PAIRS: usize = 100;
 
-/// The normal of a planar patch, without a sign, and the standard deviation across it.
+/// A planar patch: its mean, its normal without a sign, and the standard deviation across it.
 #[derive(Clone, Copy)]
 struct Patch {
+    mean: Vector,
     normal: Vector,
     thickness: f64,
+    /// Whether its thickness hardly hides what its plane resists.
+    is_thin: bool,
 }
 
 /// What surrounds a fine voxel.
@@ -106,9 +120,9 @@ impl FineCloud {
         Ok(Self { cloud: Neighbors::new(means)?, surroundings, side, is_finer })
     }
 
-    /// The planar patch around a point.
+    /// The thin planar patch around a point.
     fn patch(&self, index: usize) -> Option<Patch> {
-        self.surroundings(index).patch
+        self.surroundings(index).patch.filter(|patch| patch.is_thin)
     }
 
     fn surroundings(&self, index: usize) -> Surroundings {
@@ -117,9 +131,10 @@ impl FineCloud {
             let radius = near.last().map_or(0.0, |(_, distance)| *distance);
             let near: Vec<usize> = near.into_iter().map(|(index, _)| index).collect();
             let ([across, width, _], normal) = eigen(self.cloud.covariance(&near));
-            let is_planar = across < MAX_THICKNESS * width && width > MIN_WIDTH * radius * radius;
-            let patch = is_planar.then(|| Patch { normal, thickness: across.max(0.0).sqrt() });
-            Surroundings { patch, radius }
+            let is_planar = across < MAX_NOISY_THICKNESS * width && width > MIN_WIDTH * radius * radius;
+            let mean = near.iter().map(|&index| self.cloud.points[index]).sum::<Vector>() / near.len() as f64;
+            let (thickness, is_thin) = (across.max(0.0).sqrt(), across < MAX_THICKNESS * width);
+            Surroundings { patch: is_planar.then_some(Patch { mean, normal, thickness, is_thin }), radius }
         })
     }
 
@@ -183,30 +198,14 @@ impl FineCloud {
             return None;
         }
         let offset = self.cloud.points[nearest] - place.point;
-        let Surroundings { patch, radius } = self.surroundings(nearest);
-        match (&place.normal, patch) {
+        match (&place.normal, self.patch(nearest)) {
             (Some(normal), Some(patch)) => Some(
                 patch.normal.dot(normal).abs() > AGREEING_COSINE
                     && normal.dot(&offset).abs() < MAX_OFFSET * inlier_distance,
             ),
             _ if distance < MAX_APART * inlier_distance => Some(true),
-            _ => (distance > radius).then_some(false),
+            _ => (distance > self.surroundings(nearest).radius).then_some(false),
         }
-    }
-
-    /// The point nearest to a place, if it is closer than `max_distance` and on a planar patch with
-    /// about this normal whose plane passes the place within `tolerance`.
-    pub(crate) fn patch_at(
-        &self,
-        place: &Vector,
-        normal: &Vector,
-        max_distance: f64,
-        tolerance: f64,
-    ) -> Option<Vector> {
-        let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
-        let point = self.cloud.points[nearest];
-        let is_on = distance < max_distance && normal.dot(&(point - place)).abs() < tolerance;
-        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > AGREEING_COSINE).then_some(point)
     }
 }
 
@@ -215,8 +214,13 @@ pub(crate) struct Overlap {
     /// Points of the source, each with the plane between its patch and that of the nearest target
     /// point.
     pub(crate) patches: Vec<PlanePair>,
+    /// The pairs of these and of thicker patches, by their means. Normals and distances are divided by the standard deviation
+    /// across both patches, which is the noise of their points.
+    pub(crate) weighed: Vec<PlanePair>,
     /// The share of the patches that coincide within their thickness.
     coinciding: f64,
+    /// The share of the patches that lie apart for their thickness.
+    apart: f64,
     /// The share of the source's points on the target that lie on patches of both.
     planar: f64,
 }
@@ -233,28 +237,41 @@ pub(crate) fn overlap(
         (distance <= max_distance).then_some((index, point, nearest))
     };
     let pair = |(index, point, nearest): (usize, Vector, usize)| {
-        let source_patch = source.patch(index)?;
-        let target_patch = target.patch(nearest)?;
-        let (a, b) = (transform.rotation * source_patch.normal, target_patch.normal);
+        let patches = [source.surroundings(index).patch?, target.surroundings(nearest).patch?];
+        let [a, b] = [transform.rotation * patches[0].normal, patches[1].normal];
         let cosine = a.dot(&b);
         let normal = (if cosine < 0.0 { b - a } else { a + b }).normalize();
-        let distance = normal.dot(&(target.cloud.points[nearest] - point));
-        let coincides = distance.abs() < COINCIDING * source_patch.thickness.hypot(target_patch.thickness);
-        (cosine.abs() > AGREEING_COSINE).then_some((PlanePair { point, normal, distance }, coincides))
+        let thickness = patches[0].thickness.hypot(patches[1].thickness);
+        let thin = (patches.iter().all(|patch| patch.is_thin) && cosine.abs() > AGREEING_COSINE).then(|| {
+            let distance = normal.dot(&(target.cloud.points[nearest] - point));
+            let is_apart = distance.abs() > (APART * thickness).max(MIN_APART * max_distance);
+            (PlanePair { point, normal, distance }, [distance.abs() < COINCIDING * thickness, is_apart])
+        });
+        let (mean, noise) = (moved(transform, &patches[0].mean), thickness.max(MIN_NOISE * target.side));
+        let distance = normal.dot(&(patches[1].mean - mean)) / noise;
+        let weighed = PlanePair { point: mean, normal: normal / noise, distance };
+        Some((thin, (cosine.abs() > AGREEING_NOISY_COSINE).then_some(weighed)))
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
     let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
-    let pairs: Vec<Option<(PlanePair, bool)>> = indices.filter_map(near).map(pair).collect();
+    let pairs: Vec<Option<_>> = indices.filter_map(near).map(pair).collect();
     let count = pairs.len().max(1) as f64;
-    let (patches, coincide): (Vec<PlanePair>, Vec<bool>) = pairs.into_iter().flatten().unzip();
-    let coinciding = coincide.iter().filter(|coincides| **coincides).count() as f64 / patches.len().max(1) as f64;
-    Overlap { coinciding, planar: patches.len() as f64 / count, patches }
+    let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
+    let (patches, told): (Vec<PlanePair>, Vec<[bool; 2]>) = thin.into_iter().flatten().unzip();
+    let weighed = weighed.into_iter().flatten().collect();
+    let share = |at: usize| told.iter().filter(|told| told[at]).count() as f64 / patches.len().max(1) as f64;
+    Overlap { coinciding: share(0), apart: share(1), planar: patches.len() as f64 / count, patches, weighed }
 }
 
 impl Overlap {
     /// Whether planar patches make up enough of the overlap to tell what it leaves open.
     pub(crate) fn is_planar(&self) -> bool {
         self.planar >= MIN_PLANAR
+    }
+
+    /// The share of the patches that lie apart for their thickness; 0 of few.
+    pub(crate) fn apart(&self) -> f64 {
+        if self.patches.len() < MIN_PAIRS { 0.0 } else { self.apart }
     }
 
     /// The share of the patches that coincide; `None` where the points are too coarse to show it.

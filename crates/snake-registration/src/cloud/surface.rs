@@ -30,6 +30,8 @@ pub(crate) struct Surface<'a> {
     pub(crate) normals: &'a [Vector],
     /// Finds voxels within the inlier distance.
     pub(crate) grid: NearGrid,
+    /// Whether normals point to the sensor.
+    signed: bool,
     /// What the sensor saw; `None` if it is not known.
     image: Option<DepthImage>,
 }
@@ -70,12 +72,17 @@ impl<'a> Surface<'a> {
     ) -> Self {
         let margin = DEPTH_MARGIN * inlier_distance;
         let image = viewpoint.map(|viewpoint| DepthImage::new(points, viewpoint, margin, COARSE));
-        Self { points, normals, grid: NearGrid::new(points, inlier_distance), image }
+        Self { points, normals, grid: NearGrid::new(points, inlier_distance), signed: image.is_some(), image }
+    }
+
+    /// The same surface, whose normals have no signs.
+    pub(crate) fn without_signs(self) -> Self {
+        Self { signed: false, ..self }
     }
 
     /// Whether normals point to the sensor.
     pub(crate) fn is_signed(&self) -> bool {
-        self.image.is_some()
+        self.signed
     }
 
     /// Whether two normals agree; normals without a sign may be opposite.
@@ -122,11 +129,6 @@ impl<'a> Surface<'a> {
 
     pub(crate) fn viewpoint(&self) -> Option<Vector> {
         self.image.as_ref().map(|image| image.viewpoint)
-    }
-
-    /// Whether the sensor would see a surface here; of a cloud without a known sensor, everywhere.
-    pub(crate) fn sees(&self, point: &Vector) -> bool {
-        self.image.as_ref().is_none_or(|image| matches!(image.sight(point), Sight::Free | Sight::Surface))
     }
 
     /// Share of opposite normals among the source's points on the target with parallel normals; 0

@@ -12,7 +12,6 @@ mod solved;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -29,7 +28,7 @@ use crate::steps::judge::units_note;
 use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, PreparedCloud};
 use alone::registered_alone;
-use priors::Priors;
+use priors::{Checked, Priors};
 pub use result::{Alignment, Contradiction, Edge, Pose};
 use solved::{Solved, believed, solve};
 
@@ -98,7 +97,7 @@ pub fn align_with(
     let count = align_options.max_partners;
     let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
-    let mut contradictions = HashMap::new();
+    let mut checked = Checked::default();
     let mut left_out = Vec::new();
     // What poses were given for is judged with them.
     let mut judged = |registered: Vec<Registered>| {
@@ -106,23 +105,25 @@ pub fn align_with(
         pairs.retain(|pair| !priors.has(*pair));
         registered_alone(&given, registered, &pairs, &mut left_out, control)
     };
-    let registered = priors.filter(register_pairs(&pyramid, &priors, &free, options, control)?, &mut contradictions);
+    let registered = priors.filter(register_pairs(&pyramid, &priors, &free, options, control)?, &mut checked);
     let mut solved = solve(&pyramid, judged(registered)?, options, control)?;
-    let closer = priors.filter(look_again(&pyramid, &solved, options, control)?, &mut contradictions);
+    let closer = priors.filter(look_again(&pyramid, &solved, options, control)?, &mut checked);
     let closer = judged(closer)?;
     solved = solved.with(closer, &pyramid, options, control)?;
     // The poses say which other clouds overlap, and where.
     let guided = solved.guesses(&pyramid);
     let more = register_pairs(&pyramid, &priors, &guided, options, control)?;
-    solved = solved.with(priors.filter(more, &mut contradictions), &pyramid, options, control)?;
+    solved = solved.with(priors.filter(more, &mut checked), &pyramid, options, control)?;
     let (edges, poses) = (solved.edges(), solved.poses());
-    let mut contradictions: Vec<Contradiction> = contradictions.into_values().collect();
+    let poses_note = priors.note(&checked);
+    let mut contradictions: Vec<Contradiction> = checked.contradictions.into_values().collect();
     contradictions.retain(|at| edges.iter().all(|edge| (edge.source, edge.target) != (at.source, at.target)));
     contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
     left_out.retain(|(pair, _)| edges.iter().all(|edge| [edge.source, edge.target] != *pair));
     left_out.sort();
+    let left_out = left_out.into_iter().map(|(_, note)| note);
     let notes =
-        missing_notes(clouds).chain(units_notes(clouds)).chain(left_out.into_iter().map(|(_, note)| note)).collect();
+        poses_note.into_iter().chain(missing_notes(clouds)).chain(units_notes(clouds)).chain(left_out).collect();
     Ok(Alignment {
         poses,
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),

@@ -1,6 +1,6 @@
 //! Initial poses of clouds: transforms to start from, and the check of what is found.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::IsometryMatrix3;
 
@@ -20,6 +20,18 @@ use crate::steps::{Pair, approach, refine};
 /// twice its standard deviation in height, so that a storey is higher. Unit: least standard deviations of a cloud. Set
 /// by hand.
 const PRIOR_TOLERANCE: f64 = 1.5;
+
+/// Fewer contradictions tell nothing of the poses.
+const MIN_CONTRADICTIONS: usize = 3;
+/// Motions with angles that differ by less may be the same. Unit: degrees. Set by hand.
+const SAME_ANGLE: f64 = 3.0;
+
+/// The reliable registrations of pairs with poses, and those of them that contradict the poses.
+#[derive(Default)]
+pub(super) struct Checked {
+    reliable: BTreeMap<[usize; 2], IsometryMatrix3<f64>>,
+    pub(super) contradictions: HashMap<[usize; 2], Contradiction>,
+}
 
 /// The initial poses of clouds in one frame, with the distances that do not contradict them.
 pub(super) struct Priors {
@@ -134,19 +146,67 @@ impl Priors {
         (distance > tolerance).then_some(Contradiction { source, target, distance, tolerance })
     }
 
-    /// The registrations that do not contradict the poses. Those that do and are reliable are noted.
-    pub(super) fn filter(
-        &self,
-        registered: Vec<Registered>,
-        noted: &mut HashMap<[usize; 2], Contradiction>,
-    ) -> Vec<Registered> {
+    /// The registrations that do not contradict the poses. What is reliable is noted, with how it contradicts.
+    pub(super) fn filter(&self, registered: Vec<Registered>, checked: &mut Checked) -> Vec<Registered> {
         let agrees = |(pair, registration): &Registered| {
             let contradiction = self.contradiction(*pair, registration);
-            if let Some(contradiction) = contradiction.filter(|_| registration.verdict.is_reliable) {
-                noted.insert(*pair, contradiction);
+            if registration.verdict.is_reliable && self.has(*pair) {
+                checked.reliable.entry(*pair).or_insert(*registration.t_target_source.isometry());
+                checked.contradictions.extend(contradiction.map(|contradiction| (*pair, contradiction)));
             }
             contradiction.is_none()
         };
         registered.into_iter().filter(agrees).collect()
+    }
+
+    /// What may be wrong with the poses, if reliable registrations contradict them: another reading that leaves less than half
+    /// of the contradictions, or nothing known if most contradict.
+    pub(super) fn note(&self, checked: &Checked) -> Option<String> {
+        let (reliable, count) = (&checked.reliable, self.poses.len());
+        let contradictions = checked.contradictions.len();
+        if contradictions < MIN_CONTRADICTIONS {
+            return None;
+        }
+        let leaves_few = |is_explained: &dyn Fn([usize; 2], &IsometryMatrix3<f64>) -> bool| {
+            2 * reliable.iter().filter(|(pair, found)| !is_explained(**pair, found)).count() < contradictions
+        };
+        let agree = |poses: &[Option<IsometryMatrix3<f64>>]| {
+            leaves_few(&|[source, target], found| {
+                poses[source].zip(poses[target]).is_some_and(|(from, to)| {
+                    displacement(&(to.inverse() * from), found, &self.probes[source])
+                        <= self.tolerance([source, target])
+                })
+            })
+        };
+        let inverse: Vec<_> = self.poses.iter().map(|pose| pose.map(|pose| pose.inverse())).collect();
+        let reverse: Vec<_> = self.poses.iter().rev().copied().collect();
+        let by_number = |first: usize| {
+            let mut as_text: Vec<usize> = (0..count).collect();
+            as_text.sort_by_key(|place| (first + place).to_string());
+            as_text.into_iter().map(|place| self.poses[place]).collect::<Vec<_>>()
+        };
+        // In other axes of the sensor a motion has the same angle, and about the same length.
+        let is_same_motion = |pair, found: &IsometryMatrix3<f64>| {
+            self.t_target_source(pair).is_some_and(|prior| {
+                let lengths = [found, &prior].map(|motion| motion.translation.vector.norm());
+                (found.rotation.angle() - prior.rotation.angle()).abs() < SAME_ANGLE.to_radians()
+                    && (lengths[0] - lengths[1]).abs() <= self.tolerance(pair)
+            })
+        };
+        let fits = if agree(&inverse) {
+            "their inverses fit: a pose maps a cloud to the common frame"
+        } else if agree(&by_number(0)) || agree(&by_number(1)) {
+            "they fit clouds that are sorted by number, not as text (0, 1, 10, 2)"
+        } else if agree(&reverse) {
+            "they fit in reverse order"
+        } else if leaves_few(&is_same_motion) {
+            "their motions fit in other axes, such as those of a camera beside the scanner: a pose is that of the cloud's frame"
+        } else if 2 * contradictions > reliable.len() {
+            "check their order, direction and units"
+        } else {
+            return None;
+        };
+        let count = reliable.len();
+        Some(format!("{contradictions} of {count} reliable registrations contradict the initial poses; {fits}"))
     }
 }

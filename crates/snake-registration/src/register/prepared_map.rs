@@ -5,7 +5,7 @@ use std::time::Instant;
 use snake_core::{Cloud, Control, Error, Model, Result};
 
 use super::tries::{Effort, Search};
-use crate::options::{PairOptions, RegisterOptions, check_viewpoint};
+use crate::options::{PairOptions, RegisterOptions, check_viewpoint, place_viewpoint};
 use crate::result::Registration;
 use crate::steps::{Lengths, Pair, PreparedCloud, prepare};
 
@@ -45,11 +45,10 @@ impl PreparedMap {
             return Err(Error::Option { name: "voxel_size", value: "none".into(), allowed });
         }
         check_viewpoint("viewpoint", viewpoint)?;
-        let (mut map_options, mut viewpoints) = (*options, [viewpoint]);
-        map_options.place_viewpoints(&mut viewpoints, &[map.origin]);
+        let viewpoints = [place_viewpoint(viewpoint, map.origin)];
         // The seed of a pair's target: with that of the source, equal clouds would have equal random
         // keypoints.
-        let map_options = map_options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(KEYPOINTS);
+        let map_options = options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(KEYPOINTS);
         let model = options.model_to_run(model)?;
         let prepared = prepare(&[&map.points], &viewpoints, model, &map_options, control)?.clouds.remove(0);
         Ok(Self { prepared, origin: map.origin, model: model.cloned(), options: *options })
@@ -77,12 +76,12 @@ impl PreparedMap {
         if pair_options.estimate_scale {
             return refused("estimate_scale", "false: the lengths of a map are fixed");
         }
-        let (mut options, mut pair_options) = (self.options, *pair_options);
-        pair_options.place(&mut options, scan.origin, self.origin);
+        let (options, mut pair_options) = (&self.options, *pair_options);
+        pair_options.place(scan.origin, self.origin);
         let (viewpoint, model) = (pair_options.source_viewpoint, self.model.as_ref());
-        let prepared = PreparedCloud::new(&scan.points, viewpoint, self.lengths(), model, &options, control)?;
+        let prepared = PreparedCloud::new(&scan.points, viewpoint, self.lengths(), model, options, control)?;
         let pair = Pair::new(&prepared, &self.prepared, options.gravity);
-        let search = Search::new(&pair, &options, &pair_options, Effort::Thorough, control);
+        let search = Search::new(&pair, options, &pair_options, Effort::Thorough, control);
         let registration = search.register()?.between_origins(scan.origin, self.origin);
         Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
     }

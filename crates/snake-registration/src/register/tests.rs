@@ -104,31 +104,6 @@ fn inliers_are_those_before_icp_and_fitness_is_that_of_the_result() {
 }
 
 #[test]
-fn keypoints_of_other_detectors_register_too() {
-    use Detector::{Fps, Iss, Random, SurfaceVariation};
-    let points = sample();
-    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(1)));
-    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
-    for detector in [Fps, Random] {
-        let registration = run(source, &target, &RegisterOptions { detector, ..options() }).unwrap();
-        assert!(difference(source, &registration.t_target_source, &truth) < 0.05, "{detector:?}: {registration:?}");
-    }
-    // Surface variation has few keypoints, which two samplings do not share.
-    let variation = run(&points, &points, &options().with_detector(SurfaceVariation)).unwrap();
-    assert!(difference(&points, &variation.t_target_source, &RigidTransform::identity()) < 0.01, "{variation:?}");
-    let iss = run(&points, &points, &options().with_detector(Iss)).unwrap();
-    assert!(variation.matches.num_matches > 3 && variation.matches != iss.matches, "{variation:?}");
-    // The cloud is registered to itself: its random points are not those of the target.
-    let few = RegisterOptions { detector: Random, max_keypoints: 200, ..options() };
-    let twice = run(source, source, &few).unwrap();
-    assert!(twice.matches.rmse > 0.0, "{twice:?}");
-    assert_ne!(
-        twice,
-        Registration { seconds: twice.seconds, ..run(source, source, &RegisterOptions { seed: 5, ..few }).unwrap() }
-    );
-}
-
-#[test]
 fn few_spread_keypoints_register_and_their_matches_agree() {
     let points = sample();
     let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
@@ -206,16 +181,6 @@ fn lengths_may_be_multiples_of_the_coarser_clouds_resolution() {
 }
 
 #[test]
-fn points_that_are_not_finite_are_skipped() {
-    let points = sample();
-    let (source, target) = (&points[..1500], &points[1500..3000]);
-    let nan = [source, &[[f32::NAN; 3]; 7], &[[0.0, 0.0, f32::INFINITY]]].concat();
-    let (expected, registration) = (run(source, target, &options()).unwrap(), run(&nan, target, &options()).unwrap());
-    assert_eq!(registration.clouds.map(|cloud| cloud.num_skipped), [8, 0]);
-    assert_eq!(registration, Registration { clouds: registration.clouds, seconds: registration.seconds, ..expected });
-}
-
-#[test]
 fn options_outside_their_range_are_named() {
     let points = &sample()[..500];
     for (options, name) in [
@@ -241,57 +206,6 @@ fn options_outside_their_range_are_named() {
     // Each cloud is reduced to one voxel.
     let options = RegisterOptions { voxel_size: Some(Length::Units(1e3)), ..options() };
     assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
-}
-
-#[test]
-fn a_scan_registers_to_a_map_that_is_kept() {
-    let points = sample();
-    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(5)));
-    let (first, second, map) = (&points[..1500], &points[1500..2500], transform_points(&truth, &points[2500..]));
-    let control = Control::default();
-    // The map alone decides the lengths.
-    let map = steps::prepare(&[&map], &[], None, &options(), &control).unwrap();
-    for scan in [first, second] {
-        let scan = steps::PreparedCloud::new(scan, None, &map.lengths, None, &options(), &control).unwrap();
-        let pair = Pair::new(&scan, &map.clouds[0], None);
-        let registration = register_pair(&pair, &options(), &PairOptions::default(), &control).unwrap();
-        assert!(difference(&points, &registration.t_target_source, &truth) < 0.05, "{registration:?}");
-    }
-    let error = steps::PreparedCloud::new(&[], None, &map.lengths, None, &options(), &control).err().unwrap();
-    assert!(error.to_string().starts_with("points: no points"), "{error}");
-    let none = steps::Lengths { inlier_distance: 0.0, ..map.lengths };
-    let error = steps::PreparedCloud::new(first, None, &none, None, &options(), &control).err().unwrap();
-    assert!(error.to_string().contains("inlier_distance"), "{error}");
-}
-
-#[test]
-fn own_keypoints_and_descriptors_register_too() {
-    let points = sample();
-    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(8)));
-    let target = transform_points(&truth, &points);
-    let control = Control::default();
-    let prepared = steps::prepare(&[&points, &target], &[], None, &options(), &control).unwrap();
-    let own = |cloud: &[Point]| cloud.iter().step_by(20).copied().collect::<Vec<Point>>();
-    let mut clouds = prepared.clouds.into_iter();
-    let [source, target] = [&points, &target].map(|points| {
-        let cloud = clouds.next().unwrap();
-        assert!(cloud.lengths().voxel_size > 0.0 && cloud.voxels().points().len() == cloud.voxels().normals().len());
-        let cloud = cloud.with_keypoints(&own(points)).unwrap();
-        assert_eq!(cloud.keypoints(), own(points));
-        cloud
-    });
-    let pair = Pair::new(&source, &target, None);
-    // A row that says which keypoint it is, of which a tenth is wrong.
-    let rows = |step: usize| -> Vec<f32> {
-        let name = |row: usize| if row.is_multiple_of(10) { row * step % 200 } else { row };
-        (0..own(&points).len()).map(|row| name(row) as f32).collect()
-    };
-    let [source_rows, target_rows] = [rows(1), rows(7)].map(|values| steps::Rows::new(values, 1).unwrap());
-    let indices = match_rows(&source_rows, &target_rows, 2000, &control).unwrap();
-    let matches = pair.matches(&indices).unwrap();
-    let transforms = consensus(&matches, pair.criteria(), 1, &control).unwrap();
-    assert!(difference(&points, &transforms[0], &truth) < 1e-3, "{transforms:?}");
-    assert!(target.with_keypoints(&[[f32::NAN; 3]]).is_err());
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::cloud::surface::{self, Surface};
 use crate::options::Axis;
 use crate::result::ViewpointUsed;
 use crate::steps::matches::{Criteria, Match};
-use crate::steps::prepare::{PreparedCloud, PreparedClouds};
+use crate::steps::prepare::{PreparedCloud, PreparedClouds, Viewpoint};
 use snake_core::{Error, Result};
 use snake_geometry::{RigidTransform, vector};
 
@@ -15,6 +15,8 @@ use snake_geometry::{RigidTransform, vector};
 pub struct Pair<'a> {
     clouds: [&'a PreparedCloud; 2],
     criteria: Criteria,
+    /// Whether the sensors, where they are known, show what is free space.
+    shows_space: bool,
     surfaces: OnceLock<[Surface<'a>; 2]>,
 }
 
@@ -26,14 +28,14 @@ impl<'a> Pair<'a> {
         let signed = source.viewpoint.is_some() && target.viewpoint.is_some();
         let inlier_distance = target.lengths.inlier_distance;
         let criteria = Criteria { inlier_distance, signed, gravity: gravity.map(Axis::unit) };
-        Self { clouds: [source, target], criteria, surfaces: OnceLock::new() }
+        Self { clouds: [source, target], criteria, shows_space: true, surfaces: OnceLock::new() }
     }
 
-    /// The same pair, whose normals have no signs.
+    /// The same pair, whose normals have no signs and whose sensors are not known.
     #[must_use]
     pub fn without_signs(&self) -> Self {
         let criteria = Criteria { signed: false, ..self.criteria };
-        Self { clouds: self.clouds, criteria, surfaces: OnceLock::new() }
+        Self { clouds: self.clouds, criteria, shows_space: false, surfaces: OnceLock::new() }
     }
 
     /// Source and target.
@@ -78,7 +80,7 @@ impl<'a> Pair<'a> {
     /// overlap show that it was not.
     pub fn contradicts_viewpoints(&self, t_target_source: &RigidTransform) -> bool {
         let [source, target] = self.surfaces();
-        self.viewpoints_used().contains(&ViewpointUsed::Origin)
+        self.viewpoints().iter().flatten().any(|viewpoint| viewpoint.used == ViewpointUsed::Origin)
             && Surface::opposed(source, target, t_target_source.isometry()) > surface::MAX_OPPOSED
     }
 
@@ -88,9 +90,9 @@ impl<'a> Pair<'a> {
         self.is_signed() && !self.clouds.iter().all(|cloud| cloud.is_visible())
     }
 
-    pub(crate) fn viewpoints_used(&self) -> [ViewpointUsed; 2] {
-        let used = |cloud: &PreparedCloud| cloud.viewpoint.filter(|_| self.is_signed()).map(|(_, used)| used);
-        self.clouds.map(|cloud| used(cloud).unwrap_or(ViewpointUsed::None))
+    /// The viewpoints that are used, of source and target.
+    pub(crate) fn viewpoints(&self) -> [Option<Viewpoint>; 2] {
+        self.clouds.map(|cloud| cloud.viewpoint.filter(|_| self.shows_space))
     }
 
     pub(crate) fn surfaces(&self) -> &[Surface<'a>; 2] {
@@ -98,7 +100,8 @@ impl<'a> Pair<'a> {
     }
 
     pub(crate) fn surfaces_within(&self, distance: f64) -> [Surface<'a>; 2] {
-        self.clouds.map(|cloud| cloud.surface(self.is_signed(), distance))
+        let surfaces = self.clouds.map(|cloud| cloud.surface(self.shows_space, distance));
+        if self.is_signed() { surfaces } else { surfaces.map(Surface::without_signs) }
     }
 
     pub(crate) fn fine(&self) -> Result<[&'a FineCloud; 2]> {

@@ -1,5 +1,7 @@
 //! The U-Net on blocks. It has the shape of the dense one, with a bias in each convolution instead of a normalisation.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use snake_kernels::{
     BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d, SimdLevel,
@@ -86,16 +88,21 @@ struct Lengths {
     result: usize,
 }
 
-/// The two ends of a level's memory: `here` values at the end of its input and its result, `there` values at the other end.
-fn ends(memory: &mut [f32], starts: bool, [here, there]: [usize; 2]) -> [&mut [f32]; 2] {
-    let between = memory.len() - here - there;
-    if starts {
-        let (here, rest) = memory.split_at_mut(here);
-        [here, &mut rest[between..]]
-    } else {
-        let (rest, here) = memory.split_at_mut(there + between);
-        [here, &mut rest[..there]]
-    }
+/// Where the values of one level lie in the memory. A level has a window of it: the input, the encoder's output and the result
+/// lie at one end, what is between convolutions at the other. The window of the next level leaves the decoder's sums out, and
+/// its input lies beside them.
+struct Places {
+    input: Range<usize>,
+    middle: Range<usize>,
+    skip: Range<usize>,
+    /// The decoder's sums: of the encoder's output while the coarser levels are made, then of both.
+    sums: Range<usize>,
+    result: Range<usize>,
+}
+
+/// Two parts of the memory that do not overlap.
+fn two<'a>(memory: &'a mut [f32], from: &Range<usize>, to: &Range<usize>) -> [&'a mut [f32]; 2] {
+    memory.get_disjoint_mut([from.clone(), to.clone()]).expect("the memory has room for both")
 }
 
 impl BlockUnet {
@@ -184,59 +191,71 @@ impl BlockUnet {
         encoder.max(skip + pooled + decoded).max(decoded + self.needs(levels, number + 1)).max(decoded + result)
     }
 
+    /// The places of all levels in a memory of so many values, with which the input of the finest level ends.
+    fn places(&self, levels: &[Level], num_values: usize) -> Vec<Places> {
+        let (mut window, mut is_at_start) = (0..num_values, false);
+        let mut places = Vec::new();
+        for number in 0..self.num_levels() {
+            let lengths = self.lengths(levels, number);
+            let at = |is_at_start, length| {
+                if is_at_start { window.start..window.start + length } else { window.end - length..window.end }
+            };
+            let near = |length| at(is_at_start, length);
+            let far = |length| at(!is_at_start, length);
+            let sums = far(lengths.decoded);
+            places.push(Places {
+                input: near(lengths.input),
+                middle: far(lengths.middle),
+                skip: near(lengths.skip),
+                sums: sums.clone(),
+                result: near(lengths.result),
+            });
+            window = if is_at_start { window.start..sums.start } else { sums.end..window.end };
+            is_at_start = !is_at_start;
+        }
+        places
+    }
+
     /// Maps nodes `[block][z][y][x][c_dim]` of the filled blocks of the finest level, with which the memory ends, to features of
     /// the near blocks. Block 0 of the output has the features far from all points.
     pub(super) fn forward(&self, levels: &[Level], mut memory: Buffer, counter: &Counter) -> Result<Buffer> {
-        self.level(levels, 0, false, &mut memory, counter)?;
+        let places = self.places(levels, memory.len());
+        for (number, place) in places.iter().enumerate() {
+            let (level, channels) = (&levels[number], self.channels[number]);
+            let [first, second] = &self.encoders[number];
+            let [input, middle] = two(&mut memory, &place.input, &place.middle);
+            first.forward(0, own(level, input, self.inputs(number)), middle, counter)?;
+            let [middle, skip] = two(&mut memory, &place.middle, &place.skip);
+            second.forward(0, own(level, middle, first.outputs()), skip, counter)?;
+            counter.add(level.grid.len() * BLOCK_VOXELS);
+            if let Some([first, _]) = self.decoders.get(number) {
+                let [skip, pooled] = two(&mut memory, &place.skip, &places[number + 1].input);
+                max_pool(skip, channels, &levels[number + 1], pooled);
+                let [skip, sums] = two(&mut memory, &place.skip, &place.sums);
+                first.forward(0, own(level, skip, channels), sums, counter)?;
+            }
+        }
+        for (number, [first, second]) in self.decoders.iter().enumerate().rev() {
+            let (level, place) = (&levels[number], &places[number]);
+            let [coarse, sums] = two(&mut memory, &places[number + 1].result, &place.sums);
+            let upsampled = BlockSource {
+                values: coarse,
+                channels: self.channels[number + 1],
+                neighbors: &level.coarser,
+                halves: Some(&level.halves),
+            };
+            first.forward(1, upsampled, sums, counter)?;
+            let [sums, result] = two(&mut memory, &place.sums, &place.result);
+            second.forward(0, own(level, sums, first.outputs()), result, counter)?;
+            counter.add(level.grid.len() * BLOCK_VOXELS);
+        }
         let (channels, outputs) = (self.channels[0], self.final_conv.outputs());
-        let result = self.lengths(levels, 0).result;
-        let output = result / channels * outputs;
-        let [made, values] = ends(&mut memory, false, [result, output]);
+        let output = places[0].result.len() / channels * outputs;
+        let [made, values] = two(&mut memory, &places[0].result, &(0..output));
         let rows = values.par_chunks_mut(TILE * outputs).zip(made.par_chunks(TILE * channels));
         rows.for_each(|(out, input)| self.final_conv.forward(input, out, Epilogue::Store));
         memory.truncate(output);
         Ok(memory)
-    }
-
-    /// One level of the U-Net and all coarser ones. The input lies at the start of the memory or at its end, and so does the
-    /// result. While the coarser levels are made, the other end keeps the encoder's part of the decoder's sums.
-    fn level(
-        &self,
-        levels: &[Level],
-        number: usize,
-        starts: bool,
-        memory: &mut [f32],
-        counter: &Counter,
-    ) -> Result<()> {
-        let (level, lengths) = (&levels[number], self.lengths(levels, number));
-        let (channels, work) = (self.channels[number], level.grid.len() * BLOCK_VOXELS);
-        let [first, second] = &self.encoders[number];
-        let [input, middle] = ends(memory, starts, [lengths.input, lengths.middle]);
-        first.forward(0, own(level, input, self.inputs(number)), middle, counter)?;
-        let [skip, middle] = ends(memory, starts, [lengths.skip, lengths.middle]);
-        second.forward(0, own(level, middle, first.outputs()), skip, counter)?;
-        counter.add(work);
-        let Some([first, second]) = self.decoders.get(number) else { return Ok(()) };
-        let coarser = self.lengths(levels, number + 1);
-        let rest = memory.len() - lengths.decoded;
-        let [skip, others] = ends(memory, starts, [lengths.skip, lengths.decoded + coarser.input]);
-        let [sums, pooled] = ends(others, !starts, [lengths.decoded, coarser.input]);
-        max_pool(skip, channels, &levels[number + 1], pooled);
-        first.forward(0, own(level, skip, channels), sums, counter)?;
-        let [sums, coarse] = ends(memory, !starts, [lengths.decoded, rest]);
-        self.level(levels, number + 1, !starts, coarse, counter)?;
-        let [made, _] = ends(coarse, !starts, [coarser.result, 0]);
-        let upsampled = BlockSource {
-            values: made,
-            channels: self.channels[number + 1],
-            neighbors: &level.coarser,
-            halves: Some(&level.halves),
-        };
-        first.forward(1, upsampled, sums, counter)?;
-        let [result, decoded] = ends(memory, starts, [lengths.result, lengths.decoded]);
-        second.forward(0, own(level, decoded, first.outputs()), result, counter)?;
-        counter.add(work);
-        Ok(())
     }
 }
 

@@ -5,16 +5,15 @@ pub(crate) mod fpfh;
 mod plain_fpfh;
 
 use std::borrow::Cow;
-use std::num::NonZeroUsize;
 
-use crate::cloud::normals::{Orientation, normals};
+use crate::cloud::normals::Orientation;
 use crate::cloud::voxels::downsample;
 use crate::options::Descriptor;
 use crate::steps::pair::Pair;
 use crate::steps::prepare::{Lengths, PreparedCloud, VoxelCloud, diameter, voxel_size};
 use fpfh::FPFH_DIMENSION;
 use snake_core::{Control, Error, Result};
-use snake_geometry::{FinitePoints, Point, check_points, vector};
+use snake_geometry::{FinitePoints, Point, check_points};
 
 /// Descriptors `(K, dimension)` of the keypoints of a cloud, row by row.
 #[derive(Debug, Clone, PartialEq)]
@@ -168,14 +167,8 @@ pub fn describe_keypoints(points: &[Point], keypoints: &[Point], control: &Contr
     let voxel_size = voxel_size(diameter(&points)?);
     let voxels = downsample(&points, voxel_size, control)?;
     let lengths = Lengths::from_spacing(voxel_size, voxel_size.max(voxels.resolution()));
-    voxels.check_density("feature_radius", lengths.feature_radius)?;
-    let normals = normals(&voxels, lengths.normal_radius, Orientation::Unsigned, control)?;
-    let all = fpfh::descriptors(&voxels.points, &normals, false, lengths.feature_radius, control)?;
-    let row = |point: &Point| {
-        let voxel = voxels.nearest(&vector(*point), NonZeroUsize::MIN)[0].0;
-        &all[voxel * FPFH_DIMENSION..][..FPFH_DIMENSION]
-    };
-    let mut rows: Vec<f32> = keypoints.iter().flat_map(row).copied().collect();
+    let voxels = VoxelCloud::from_voxels(&points, voxels, &lengths, Orientation::Unsigned, control)?;
+    let mut rows = voxels.descriptors(keypoints, Descriptor::Fpfh, control)?;
     hellinger(&mut rows, FPFH_DIMENSION);
     Ok(rows)
 }

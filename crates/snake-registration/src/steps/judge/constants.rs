@@ -22,8 +22,8 @@ pub(super) const DETAIL: f64 = 0.25;
 pub(super) const MAX_SLIDE_TURN: f64 = 12.0;
 /// Two normals are parallel if their cosine is above this. Set by hand.
 pub(super) const REPEAT_PARALLEL: f64 = 0.98;
-/// The target repeats itself if more than this share of the patches agrees after a shift. Unit: share of the patches in
-/// view. Of 162 made rows of pillars 3 are left by one period.
+/// The target repeats itself if a slide or shift explains more than this share. Unit: share of the places that tell. Of 162
+/// made rows of pillars 3 are left by one period.
 pub(crate) const REPEATED: f64 = 0.45;
 /// The source may belong to the other place if its fitness is above this: with less overlap, a place with more would
 /// fit better. Unit: share of the voxels. Set by hand.

@@ -14,20 +14,19 @@ mod standing;
 mod together;
 mod turns;
 
+use constants::TRIES;
 pub(crate) use constants::{MAX_DOUBTFUL, RELIABLE, REPEATED};
-use constants::{REPEATED_FITNESS, TRIES};
 use nalgebra::{IsometryMatrix3, Matrix6};
 
 use crate::cloud::patches::{self, overlap};
 use crate::cloud::planes::{information, plane_pairs};
 use crate::cloud::surface::{Surface, fitness};
-use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict};
+use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 use crate::steps::matches::{Match, inliers};
 use crate::steps::pair::Pair;
 use crate::steps::refine::Candidate;
 use constraint::Constraint;
 use evidence::{Evidence, is_rival};
-use repeats::repeated_share;
 use rivals::{Rival, rivals};
 pub(crate) use scale::best_scale;
 use scale::better_scale;
@@ -61,23 +60,16 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
         return Err(no_transform(pair, matches.len())?);
     }
     let counts = Matches::count(pair, matches, candidates);
-    let agreeing = |rival: &Candidate| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0;
-    judge_counted(pair, candidates, counts, agreeing)
-}
-
-/// [`judge`] of the first of at least one candidate by what agrees with it, counted by the caller.
-pub(crate) fn judge_counted(
-    pair: &Pair,
-    candidates: &[Candidate],
-    counts: Matches,
-    agreeing: impl Fn(&Candidate) -> usize,
-) -> Result<Registration> {
     let best = &candidates[0];
     let fit = Fit::measure(pair, &best.t_target_source);
-    let verdict = verdict(pair, candidates, &fit, &counts, agreeing)?;
-    let viewpoints = pair.viewpoints_used();
-    let report =
-        |place: usize| CloudReport { viewpoint: viewpoints[place], num_skipped: pair.clouds()[place].num_skipped };
+    let verdict = verdict(pair, matches, candidates, &fit, &counts)?;
+    let viewpoints = pair.viewpoints();
+    let report = |place: usize| CloudReport {
+        viewpoint: viewpoints[place].map_or(ViewpointUsed::None, |viewpoint| viewpoint.used),
+        position: viewpoints[place].map(|viewpoint| viewpoint.sensor.position),
+        visible: viewpoints[place].map(|viewpoint| viewpoint.sensor.visible),
+        num_skipped: pair.clouds()[place].num_skipped,
+    };
     Ok(Registration {
         t_target_source: best.t_target_source,
         verdict,
@@ -90,7 +82,7 @@ pub(crate) fn judge_counted(
     })
 }
 
-/// Tries other answers on purpose beside a transform that is reliable or ambiguous: the turns that
+/// Compares a transform that is reliable or ambiguous with others: the turns that
 /// lay the planes of the overlap on planes, the motions under which a cloud looks like itself, and the shifts after which
 /// details of the target repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
 /// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
@@ -108,7 +100,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     let standing = contradicted_at_one_place(pair, transform)?;
     let contradicted = standing.filter(|share| *share > MAX_STANDING);
     let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
-    let mut equal = rivals(pair, transform, standing.is_some())?;
+    let mut equal = rivals(pair, transform, registration.fit.fitness, standing.is_some())?;
     equal.retain(Rival::is_equal);
     if equal.is_empty() && contradicted.is_none() && together.is_none() {
         return Ok(());
@@ -119,7 +111,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
     verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
     // Finer voxels would not tell which part moved.
-    let at_rest = if together.is_some() { 1.0 } else { verdict.repeat_fit };
+    let at_rest = if together.is_some() { 1.0 } else { 0.0 };
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     // Shifts come last, and are named first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
@@ -130,13 +122,7 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
 }
 
 /// The verdict about the best candidate.
-fn verdict(
-    pair: &Pair,
-    candidates: &[Candidate],
-    fit: &Fit,
-    counts: &Matches,
-    agreeing: impl Fn(&Candidate) -> usize,
-) -> Result<Verdict> {
+fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, counts: &Matches) -> Result<Verdict> {
     let best = &candidates[0];
     let transform = best.t_target_source.isometry();
     let surfaces = pair.surfaces();
@@ -145,11 +131,11 @@ fn verdict(
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
-    let is_repeatable = fit.fitness > REPEATED_FITNESS;
     let lead = best.lead(candidates.get(1));
     let has_rival = match lead {
         Some(lead) => lead < MIN_LEAD * best.score(),
         None => {
+            let agreeing = |rival: &Candidate| inliers(matches, rival.t_target_source.isometry(), pair.criteria()).0;
             let winner = (&best.agreement, counts.num_agreeing);
             let mut rivals = candidates[1..].iter().take(TRIES);
             rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
@@ -163,8 +149,8 @@ fn verdict(
         num_open: constraint.open.ncols(),
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
-        repeat_fit: if is_repeatable { repeated_share(&overlap.patches, fine[1], &surfaces[1]) } else { 0.0 },
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
+        apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
     };
@@ -181,7 +167,7 @@ fn verdict(
             .collect(),
         weakest_constraint: evidence.weakest_constraint,
         slide_margin: evidence.slide_margin,
-        repeat_fit: evidence.repeat_fit,
+        repeat_fit: 0.0,
         free_space_violation: evidence.violation,
     })
 }

@@ -1,13 +1,13 @@
 //! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
 //! which one of the clouds looks like itself, after a shift under which details repeat, and after a reflection.
 
-use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES};
+use super::constants::{DETAIL, ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT, PLACES, REPEATED_FITNESS};
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
 
 use super::alike::{self_motions, shared_support};
 use super::open_motions::axis_name;
-use super::repeats::axes;
+use super::repeats::{axes, slides};
 use super::shifts::{Shift, shifts};
 use super::turns::{after_turns, reflections, turns};
 use crate::cloud::depth_image::{DepthImage, Sight};
@@ -30,13 +30,21 @@ const RIVAL_STEPS: usize = 8;
 const MIN_SELF_SUPPORT: f64 = 0.06;
 /// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
 /// distances. An object in a map has 7 to 11.
-const MIN_UNSIGNED_MOTION: f64 = 12.0;
-/// A rival contradicts at most this of the places that tell the two apart: usually; with sensors at one place, where
-/// one pattern of rays coincides point by point; and, of all places, after a shift there or one with which details fit
-/// better. Unit: shares of the places that the winner explains and that tell. Stairs, ramps and stairwells have up to
-/// 0.05, right answers in real rooms 0.09 and more; at one place traffic up to 0.25, rooms at rest 0.33 and more;
-/// pillars up to 0.38 of all places.
-const SELF_CONTRADICTED: [f64; 3] = [0.08, 0.28, 0.43];
+const MIN_UNSIGNED_MOTION: f64 = 11.5;
+/// A rival contradicts at most this. Unit: share of the places that the winner explains and that tell the two apart. Stairs,
+/// ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more.
+const MAX_CONTRADICTED: f64 = 0.08;
+/// With sensors at one place, where one pattern of rays coincides point by point: traffic has up to 0.25, rooms at rest 0.33
+/// and more.
+const STANDING_CONTRADICTED: f64 = 0.28;
+/// Of all places, after a shift there or one with which details fit better: pillars have up to 0.38.
+const SHIFT_CONTRADICTED: f64 = 0.43;
+/// After a slide: tiers of a stadium have up to 0.25, two of three streets 0.31 and more.
+const SLIDE_CONTRADICTED: f64 = 0.27;
+/// Part of the way of a slide fewer places tell that it fits. Unit: share of those at its end; shares of the slide. Half and
+/// twice change no outcome.
+const SLIDE_VALLEY: f64 = 0.6;
+const SLIDE_PARTS: [f64; 3] = [0.35, 0.5, 0.65];
 /// Every so many of them tell where exactly a shift fits. Unit: places. Set for time.
 const SHIFT_THINNING: usize = 6;
 /// Number of steps to either side in which a shift is made exact. Half and twice change no outcome.
@@ -55,11 +63,17 @@ const HOPELESS: f64 = 0.5;
 /// have 0.1 and more.
 const MIRROR_LEAD: f64 = 0.06;
 
+/// Absence contradicts a rival where it loses more places than it gains by so many standard deviations. Half turns of
+/// rooms that are the answer have -5 to 2 beside the truth, the other way round 4 and more.
+const MIN_DEVIATIONS: f64 = 3.0;
+
 /// What leads from the winner to its rival.
 #[derive(Debug, Clone, Copy)]
 enum Motion {
     Mirror,
     Shift(Shift),
+    /// A slide under which the overlap looks alike.
+    Slide(Vector),
     /// A turn, or a motion under which one of the clouds looks like itself.
     Alike,
 }
@@ -87,26 +101,37 @@ struct Counts {
     winner: usize,
     /// The reverse.
     rival: usize,
+    /// Places that the winner brings onto a cloud whose sensor is not known, and the rival to where it has nothing.
+    absent: usize,
+    /// The reverse.
+    gained: usize,
 }
 
 impl Counts {
     /// By how much the winner leads, as a share of the places that it explains.
     fn lead(&self) -> f64 {
-        (self.winner as f64 - self.rival as f64) / self.explained()
+        ((self.winner + self.absent) as f64 - (self.rival + self.gained) as f64) / self.explained()
     }
 
-    /// The share of the places that the winner explains and the rival contradicts.
+    /// The share of the places that the winner explains and the rival does not.
     fn contradicted(&self) -> f64 {
-        self.winner as f64 / self.explained()
+        (self.winner + self.absent) as f64 / self.explained()
     }
 
-    /// [`contradicted`](Self::contradicted), as a share of the places that tell the two apart.
+    /// The share of the places that tell the two apart which the rival contradicts.
     fn contradicted_of_telling(&self) -> f64 {
-        self.winner as f64 / (self.telling + self.winner).max(1) as f64
+        let contradicted = self.winner + if self.absence_tells() { self.absent } else { 0 };
+        contradicted as f64 / (self.telling + contradicted).max(1) as f64
+    }
+
+    /// Whether absence contradicts the rival: nobody knows where an unknown sensor looked, and a rival that explains as
+    /// many other places instead is as good (McNemar's test).
+    fn absence_tells(&self) -> bool {
+        self.absent as f64 - self.gained as f64 > MIN_DEVIATIONS * ((self.absent + self.gained) as f64).sqrt()
     }
 
     fn explained(&self) -> f64 {
-        (self.both + self.winner).max(1) as f64
+        (self.both + self.winner + self.absent).max(1) as f64
     }
 }
 
@@ -116,27 +141,32 @@ impl Rival {
         matches!(self.motion, Motion::Mirror)
     }
 
-    /// Whether the rival contradicts little of what tells it from the winner; a mirror image must explain
-    /// more, whatever it contradicts. What the winner alone explains does not count beyond that: clouds of one pattern of
-    /// rays coincide point by point wherever they are a period apart.
-    pub(super) fn is_equal(&self) -> bool {
-        let [usual, at_one_place, shift] = SELF_CONTRADICTED;
+    /// What must be small for a rival to be equal, and its limit. A mirror image must explain more, whatever it contradicts.
+    /// What the winner alone explains does not count beyond that: clouds of one pattern of rays coincide point by point
+    /// wherever they are a period apart.
+    fn limit(&self) -> (f64, f64) {
+        let (of_all, of_telling) = (self.counts.contradicted(), self.counts.contradicted_of_telling());
         match self.motion {
-            Motion::Mirror => self.counts.lead() <= -MIRROR_LEAD,
-            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => {
-                self.counts.contradicted() <= shift
-            }
-            _ if self.is_standing => self.counts.contradicted_of_telling() <= at_one_place,
-            _ => self.counts.contradicted_of_telling() <= usual,
+            Motion::Mirror => (self.counts.lead(), -MIRROR_LEAD),
+            Motion::Shift(Shift { is_better, .. }) if is_better || self.is_standing => (of_all, SHIFT_CONTRADICTED),
+            Motion::Slide(_) => (of_telling, SLIDE_CONTRADICTED),
+            _ if self.is_standing => (of_telling, STANDING_CONTRADICTED),
+            _ => (of_telling, MAX_CONTRADICTED),
         }
+    }
+
+    /// Whether the rival contradicts little of what tells it from the winner.
+    pub(super) fn is_equal(&self) -> bool {
+        let (measure, limit) = self.limit();
+        measure <= limit
     }
 
     /// Of the places that the winner explains, the share that this shift of it, or motion under which
     /// a cloud looks like itself, explains too; 0 for a mirror image.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
-            Motion::Shift(_) => self.counts.both as f64 / (self.counts.both + self.counts.winner).max(1) as f64,
-            Motion::Alike => 1.0 - self.counts.contradicted_of_telling(),
+            Motion::Shift(_) => self.counts.both as f64 / self.counts.explained(),
+            Motion::Alike | Motion::Slide(_) => 1.0 - self.counts.contradicted_of_telling(),
             Motion::Mirror => 0.0,
         }
     }
@@ -159,7 +189,7 @@ impl Rival {
                     self.moved
                 )
             }
-            Motion::Shift(Shift { by, .. }) => repeat_note("target", &by),
+            Motion::Shift(Shift { by, .. }) | Motion::Slide(by) => repeat_note("target", &by),
         }
     }
 }
@@ -175,12 +205,19 @@ fn repeat_note(what: &str, by: &Vector) -> String {
 
 /// The turns, motions, shifts and reflections of the winner under which the clouds fit, with what tells them
 /// from the winner.
-pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
+pub(super) fn rivals(
+    pair: &Pair,
+    winner: &IsometryMatrix3<f64>,
+    fitness: f64,
+    is_standing: bool,
+) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
     let patches = overlap(fine, winner, patches::NEAR * distance).patches;
-    let [Some(first), Some(second), Some(third)] = axes(&patches) else { return Ok(Vec::new()) };
-    let frame = [first, second, third];
+    let frame = match axes(&patches) {
+        [Some(first), Some(second), Some(third)] => [first, second, third],
+        _ => [Vector::x(), Vector::y(), Vector::z()],
+    };
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
     let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
     let tried: Vec<_> = match pair.criteria().gravity {
@@ -195,13 +232,15 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).collect();
     let fit = |(motion, guess)| fitting.fitted(motion, guess);
     let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
-    if fitted.is_empty() && by_shift.is_empty() {
+    let by_slide = if fitness > REPEATED_FITNESS { slides(&patches, &frame, distance) } else { Vec::new() };
+    if fitted.is_empty() && by_shift.is_empty() && by_slide.is_empty() {
         return Ok(Vec::new());
     }
     let scene = Scene::new(fitting, fine, &places);
     let moved = fitted.into_par_iter().map(|(motion, rough)| scene.moved(motion, rough)).collect::<Result<Vec<_>>>()?;
     let shifted = by_shift.into_par_iter().map(|shift| scene.shifted(shift)).collect::<Result<Vec<_>>>()?;
-    Ok(moved.into_iter().chain(shifted).flatten().collect())
+    let slid = by_slide.into_par_iter().map(|slide| scene.slid(slide)).collect::<Result<Vec<_>>>()?;
+    Ok(moved.into_iter().chain(slid).chain(shifted).flatten().collect())
 }
 
 /// The pair with what shows whether another transform fits the surfaces.
@@ -302,6 +341,15 @@ impl<'a, 'b> Scene<'a, 'b> {
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
     }
 
+    /// The rival near a slide; `None` if the surfaces fit part of the way too, as along a wall.
+    fn slid(&self, slide: Vector) -> Result<Option<Rival>> {
+        let at = |part: f64| Translation3::from(part * slide) * self.fitting.winner;
+        let Some(rival) = self.rival(Motion::Slide(slide), at(1.0))? else { return Ok(None) };
+        let least = SLIDE_VALLEY * rival.counts.telling as f64;
+        let is_worse = |part: f64| (self.compare(&at(part)).telling as f64) < least;
+        Ok(Some(rival).filter(|rival| rival.is_equal() && SLIDE_PARTS.into_iter().any(is_worse)))
+    }
+
     /// The rival near a shift; `None` if it does not fit.
     fn shifted(&self, Shift { by: shift, is_better }: Shift) -> Result<Option<Rival>> {
         let distance = self.fitting.pair.criteria().inlier_distance;
@@ -317,12 +365,7 @@ impl<'a, 'b> Scene<'a, 'b> {
             return Ok(None);
         }
         let unit = 1.5 * DETAIL * distance / shift.norm() / f64::from(SHIFT_STEPS);
-        let parts = (-SHIFT_STEPS..=SHIFT_STEPS).map(|at| 1.0 + unit * f64::from(at));
-        let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
-        let best = tries.iter().map(|(fit, _)| *fit).max().unwrap_or_default();
-        // Of equals the middle one.
-        let equal: Vec<f64> = tries.iter().filter(|(fit, _)| *fit == best).map(|(_, part)| *part).collect();
-        let shift = equal[equal.len() / 2] * shift;
+        let shift = best_part(fit, unit) * shift;
         let rough = Translation3::from(shift) * self.fitting.winner;
         if self.compare(&rough).contradicted() > HOPELESS {
             return Ok(None);
@@ -358,15 +401,16 @@ impl<'a, 'b> Scene<'a, 'b> {
         let transforms = [(*transform, *self.fitting.winner), (transform.inverse(), self.fitting.winner.inverse())];
         for (from, (transform, winner)) in transforms.into_iter().enumerate() {
             for (place, by_winner) in &self.sample[from] {
-                let Some(by_winner) = by_winner else { continue };
                 let moved = place.moved(&transform);
                 match (by_winner, self.explains(&moved, 1 - from)) {
-                    (true, Some(true)) => {
+                    (Some(true), Some(true)) => {
                         counts.both += 1;
                         counts.telling += usize::from(self.tells(&place.moved(&winner), &moved));
                     }
-                    (true, Some(false)) => counts.winner += 1,
-                    (false, Some(true)) => counts.rival += 1,
+                    (Some(true), Some(false)) => counts.winner += 1,
+                    (Some(false), Some(true)) => counts.rival += 1,
+                    (Some(true), None) if self.images[1 - from].is_none() => counts.absent += 1,
+                    (None, Some(true)) if self.images[1 - from].is_none() => counts.gained += 1,
                     _ => (),
                 }
             }
@@ -384,13 +428,22 @@ impl<'a, 'b> Scene<'a, 'b> {
     }
 
     /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud
-    /// does not tell. A cloud without a known sensor is taken to show all there is.
+    /// does not tell: nobody knows where the sensor of a model or of merged scans did not look.
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
-        let is_free = || self.images[cloud].as_ref().is_none_or(|image| image.sight(&place.point) == Sight::Free);
+        let is_free = || self.images[cloud].as_ref().is_some_and(|image| image.sight(&place.point) == Sight::Free);
         self.fine[cloud]
             .lies_on(place, self.fitting.pair.criteria().inlier_distance)
             .or_else(|| is_free().then_some(false))
     }
+}
+
+/// The part of a shift, about 1, that fits best; of equals the middle one.
+fn best_part(fit: impl Fn(f64) -> i32, unit: f64) -> f64 {
+    let parts = (-SHIFT_STEPS..=SHIFT_STEPS).map(|at| 1.0 + unit * f64::from(at));
+    let tries: Vec<(i32, f64)> = parts.map(|part| (fit(part), part)).collect();
+    let best = tries.iter().map(|(fit, _)| *fit).max();
+    let equal: Vec<f64> = tries.iter().filter(|(fit, _)| Some(*fit) == best).map(|(_, part)| *part).collect();
+    equal[equal.len() / 2]
 }
 
 #[cfg(test)]
@@ -402,11 +455,19 @@ mod tests {
         let mirrored = |winner, rival| Rival {
             transform: IsometryMatrix3::identity(),
             motion: Motion::Mirror,
-            counts: Counts { both: 200, telling: 200, winner, rival },
+            counts: Counts { both: 200, telling: 200, winner, rival, absent: 0, gained: 0 },
             is_standing: false,
             moved: 1.0,
         };
         assert!(mirrored(180, 500).is_equal());
         assert!(!mirrored(180, 180).is_equal());
+    }
+
+    #[test]
+    fn absence_before_an_unknown_sensor_contradicts_only_a_rival_that_explains_less() {
+        let rival = |absent, gained| Counts { both: 900, telling: 700, winner: 5, rival: 5, absent, gained };
+        assert!(rival(200, 190).contradicted_of_telling() < 0.01);
+        assert!(rival(200, 100).contradicted_of_telling() > 0.2);
+        assert!(rival(200, 300).contradicted_of_telling() < 0.01);
     }
 }

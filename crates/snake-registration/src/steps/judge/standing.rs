@@ -20,7 +20,8 @@ const STANDING: f64 = 1.0;
 /// was not seen from one place.
 pub(super) fn contradicted_at_one_place(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<f64>> {
     let distance = pair.criteria().inlier_distance;
-    let [Some((source, _)), Some((target, _))] = pair.clouds().map(|cloud| cloud.viewpoint) else { return Ok(None) };
+    let places = pair.viewpoints().map(|viewpoint| viewpoint.map(|viewpoint| viewpoint.place()));
+    let [Some(source), Some(target)] = places else { return Ok(None) };
     if (transform * Point3::from(source) - Point3::from(target)).norm() > STANDING * distance {
         return Ok(None);
     }

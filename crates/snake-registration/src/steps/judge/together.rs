@@ -69,9 +69,9 @@ pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> R
 /// nothing hides them.
 fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<Vec<Vector>> {
     let (distance, fine) = (pair.criteria().inlier_distance, pair.fine()?);
-    let Some((viewpoint, _)) = pair.clouds()[1 - from].viewpoint else { return Ok(Vec::new()) };
+    let Some(viewpoint) = pair.viewpoints()[1 - from] else { return Ok(Vec::new()) };
     let other = fine[1 - from];
-    let image = DepthImage::new(other.points(), viewpoint, distance, FINE);
+    let image = DepthImage::new(other.points(), viewpoint.place(), distance, FINE);
     let places = fine[from].thinned(DETAIL * distance, usize::MAX).into_iter().filter(|place| {
         let place = place.moved(transform);
         match other.lies_on(&place, distance) {

@@ -7,7 +7,7 @@ use nalgebra::IsometryMatrix3;
 use rayon::prelude::*;
 
 use super::lengths::Lengths;
-use super::viewpoint::{is_visible, viewpoint};
+use super::viewpoint::Viewpoint;
 use super::voxel_cloud::VoxelCloud;
 use super::{name_cloud, voxel_size};
 use crate::cloud::normals::Orientation;
@@ -15,11 +15,8 @@ use crate::cloud::patches::FineCloud;
 use crate::cloud::surface::Surface;
 use crate::cloud::voxels::downsample;
 use crate::options::{Descriptor, RegisterOptions};
-use crate::result::ViewpointUsed;
 use snake_core::{Control, Model, Result};
-use snake_geometry::{
-    FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, Vector, check_points,
-};
+use snake_geometry::{FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, check_points};
 
 /// A motion of a cloud onto itself, and the share of the cloud's matches with itself that agree on it.
 pub(crate) type SelfMotion = (IsometryMatrix3<f64>, f64);
@@ -36,7 +33,7 @@ pub struct PreparedCloud {
     /// The missing returns that were left out, in words.
     pub(crate) missing: Vec<String>,
     /// The sensor's position, if it is known.
-    pub(crate) viewpoint: Option<(Vector, ViewpointUsed)>,
+    pub(crate) viewpoint: Option<Viewpoint>,
     /// Keypoints, each with the index of the nearest voxel.
     pub(crate) keypoints: Vec<(Point, usize)>,
     pub(crate) descriptor: Descriptor,
@@ -69,7 +66,7 @@ impl PreparedCloud {
             let mut used = UsedPoints::new_all(&[points], |_| viewpoint).map_err(|(_, error)| error)?;
             let used = used.remove(0);
             let voxels = downsample(&used.points, lengths.voxel_size, control)?;
-            used.prepare(voxels, used.diameter()?, viewpoint, lengths, model, options, control)
+            used.prepare(voxels, used.diameter()?, lengths, model, options, control)
         };
         prepare().map_err(|error| name_cloud(error, 0, &["points"]))
     }
@@ -110,13 +107,13 @@ impl PreparedCloud {
     /// Whether most of the cloud is visible from its sensor, as far as its voxels can show; not where
     /// the sensor is not known.
     pub(crate) fn is_visible(&self) -> bool {
-        let from = |(place, _)| is_visible(&self.voxels.voxels.points, place, self.lengths.inlier_distance);
-        self.viewpoint.is_some_and(from)
+        let (voxels, distance) = (&self.voxels.voxels.points, self.lengths.inlier_distance);
+        self.viewpoint.is_some_and(|viewpoint| viewpoint.sees_most_of(voxels, distance))
     }
 
     /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.
     pub(crate) fn surface(&self, signed: bool, distance: f64) -> Surface<'_> {
-        let viewpoint = self.viewpoint.filter(|_| signed).map(|(viewpoint, _)| viewpoint);
+        let viewpoint = self.viewpoint.filter(|_| signed).map(|viewpoint| viewpoint.place());
         Surface::new(&self.voxels.voxels.points, &self.voxels.normals, viewpoint, distance)
     }
 
@@ -137,6 +134,7 @@ pub(super) struct UsedPoints<'a> {
     num_skipped: usize,
     outliers: Option<Outliers>,
     missing: Vec<String>,
+    viewpoint: Option<Viewpoint>,
 }
 
 impl<'a> UsedPoints<'a> {
@@ -146,10 +144,17 @@ impl<'a> UsedPoints<'a> {
         viewpoint: impl Fn(usize) -> Option<[f64; 3]> + Sync,
     ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
         let clean = |(index, points): (usize, &&'a [Point])| {
-            let sensor = Some(viewpoint(index).unwrap_or_default());
-            let used = FinitePoints::clean("points", points, sensor).map_err(|error| (index, error))?;
+            let viewpoint = Viewpoint::new(points, viewpoint(index));
+            let position = viewpoint.map(|viewpoint| viewpoint.sensor.position);
+            let used = FinitePoints::clean("points", points, position).map_err(|error| (index, error))?;
             let (outliers, missing) = (used.outliers(), used.missing().to_vec());
-            Ok(Self { num_skipped: points.len() - used.points.len(), points: used.points, outliers, missing })
+            Ok(Self {
+                num_skipped: points.len() - used.points.len(),
+                points: used.points,
+                outliers,
+                missing,
+                viewpoint,
+            })
         };
         clouds.par_iter().enumerate().map(clean).collect()
     }
@@ -165,14 +170,14 @@ impl<'a> UsedPoints<'a> {
         &self,
         voxels: Neighbors,
         diameter: f64,
-        given: Option<[f64; 3]>,
         lengths: &Lengths,
         model: Option<&Model>,
         options: &RegisterOptions,
         control: &Control,
     ) -> Result<PreparedCloud> {
-        let viewpoint = viewpoint(&voxels.points, given, options, lengths.inlier_distance);
-        let orientation = viewpoint.map_or(Orientation::Unsigned, |(at, _)| Orientation::Viewpoint(at));
+        let viewpoint = self.viewpoint.filter(|_| options.use_viewpoints);
+        let orientation =
+            viewpoint.map_or(Orientation::Unsigned, |viewpoint| Orientation::Viewpoint(viewpoint.place()));
         let mut voxels = VoxelCloud::from_voxels(&self.points, voxels, lengths, orientation, control)?;
         if let Some(model) = model {
             voxels = voxels.with_model(model, VoxelCloud::default_options(model, lengths.voxel_size));

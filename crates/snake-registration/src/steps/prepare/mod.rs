@@ -16,6 +16,7 @@ pub(crate) use cloud::SelfMotion;
 pub(crate) use cloud::diameter;
 pub use lengths::Lengths;
 pub(crate) use pyramid::{Given, Level, Pyramid};
+pub(crate) use viewpoint::Viewpoint;
 pub use voxel_cloud::VoxelCloud;
 
 use crate::cloud::voxels::downsample;
@@ -83,8 +84,7 @@ fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
         // The clouds get different random keypoints. With one seed, equal clouds would have a
         // partner for every keypoint.
         let options = options.with_seed(options.seed.wrapping_add(index as u64));
-        used.prepare(voxels, diameters[index], given.viewpoint(index), &lengths, model, &options, control)
-            .map_err(named(index))
+        used.prepare(voxels, diameters[index], &lengths, model, &options, control).map_err(named(index))
     };
     let clouds = used.par_iter().zip(voxels).enumerate().map(prepare).collect::<Result<_>>()?;
     Ok(PreparedClouds { clouds, lengths })

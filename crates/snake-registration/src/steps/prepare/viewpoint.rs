@@ -1,31 +1,37 @@
 //! The sensor's position.
 
 use crate::cloud::depth_image::{COARSE, DepthImage};
-use crate::options::RegisterOptions;
 use crate::result::ViewpointUsed;
-use snake_geometry::Vector;
+use snake_geometry::{Point, Sensor, Vector};
 
-/// The frame's origin is taken for the sensor's position if this share of the cloud is visible from there. Unit: share
-/// of the voxels. Scans have 0.7 and more even if the sensor moved, whole objects about half.
+/// Signs of normals are doubtful if less than this share of the cloud is visible. Unit: share of the voxels. Scans have 0.7
+/// and more even if the sensor moved.
 const MIN_VISIBLE: f64 = 0.65;
 
-/// The viewpoint of a cloud and its origin; `None` if it is not known.
-pub(super) fn viewpoint(
-    voxels: &[Vector],
-    given: Option<[f64; 3]>,
-    options: &RegisterOptions,
-    inlier_distance: f64,
-) -> Option<(Vector, ViewpointUsed)> {
-    if !options.use_viewpoints {
-        return None;
-    }
-    if let Some(given) = given {
-        return Some((given.into(), ViewpointUsed::Given));
-    }
-    is_visible(voxels, Vector::zeros(), inlier_distance).then_some((Vector::zeros(), ViewpointUsed::Origin))
+/// A sensor, and how it is known.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Viewpoint {
+    pub(crate) sensor: Sensor,
+    pub(crate) used: ViewpointUsed,
 }
 
-/// Whether most of a cloud is visible from a place, as far as its voxels can show.
-pub(super) fn is_visible(voxels: &[Vector], place: Vector, inlier_distance: f64) -> bool {
-    DepthImage::new(voxels, place, inlier_distance, COARSE).visible_share(voxels) >= MIN_VISIBLE
+impl Viewpoint {
+    /// The viewpoint of a cloud as given, or as its points tell.
+    pub(super) fn new(points: &[Point], given: Option<[f64; 3]>) -> Option<Self> {
+        if let Some(given) = given {
+            return Some(Self { sensor: Sensor::at(given, points), used: ViewpointUsed::Given });
+        }
+        let sensor = Sensor::find(points)?;
+        let used = if sensor.position == [0.0; 3] { ViewpointUsed::Origin } else { ViewpointUsed::Found };
+        Some(Self { sensor, used })
+    }
+
+    pub(crate) fn place(&self) -> Vector {
+        self.sensor.position.into()
+    }
+
+    /// Whether most of a cloud is visible, as far as its voxels can show.
+    pub(super) fn sees_most_of(&self, voxels: &[Vector], inlier_distance: f64) -> bool {
+        DepthImage::new(voxels, self.place(), inlier_distance, COARSE).visible_share(voxels) >= MIN_VISIBLE
+    }
 }

@@ -51,7 +51,7 @@ impl VoxelCloud {
     }
 
     /// [`VoxelCloud::new`] of finite points and their voxels.
-    pub(super) fn from_voxels(
+    pub(crate) fn from_voxels(
         points: &[Point],
         voxels: Neighbors,
         lengths: &Lengths,

@@ -14,8 +14,8 @@ const PATCH_ROUNDS: [(f64, usize); 2] = [(4.0, 4), (2.0, 8)];
 /// Pairs of patches farther apart than this are left out. Unit: medians of all pairs. Half and twice change no outcome.
 const MAX_MEDIANS: f64 = 4.0;
 
-/// Refines a transform on the planar patches of both clouds; clouds that are hardly finer than
-/// their voxels keep it.
+/// Refines a transform on the planar patches of both clouds, each weighed by its noise: a far wall is measured worse than
+/// a near one. Clouds that are hardly finer than their voxels keep it.
 pub(crate) fn refine_on_patches(
     clouds: [&FineCloud; 2],
     rough: IsometryMatrix3<f64>,
@@ -28,13 +28,13 @@ pub(crate) fn refine_on_patches(
     let mut transform = rough;
     for (factor, steps) in PATCH_ROUNDS {
         let distance = factor * clouds[0].side.max(clouds[1].side);
-        let pairs = |transform: &IsometryMatrix3<f64>| without_far(overlap(clouds, transform, distance).patches);
+        let pairs = |transform: &IsometryMatrix3<f64>| without_far(overlap(clouds, transform, distance).weighed);
         transform = iterate(pairs, transform, gravity, (steps, distance), counter)?;
     }
     Ok(transform)
 }
 
-/// The pairs whose planes are not much farther than the median; none if there are too few pairs.
+/// The pairs whose planes are not much farther than the median, with weights of mean 1; none if there are too few pairs.
 fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
     if pairs.len() < patches::MIN_PAIRS {
         return Vec::new();
@@ -44,5 +44,49 @@ fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
     let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
     let limit = MAX_MEDIANS * *median;
     pairs.retain(|pair| pair.distance.abs() <= limit);
+    let mean = pairs.iter().map(|pair| pair.normal.norm_squared()).sum::<f64>() / pairs.len() as f64;
+    for PlanePair { normal, distance, .. } in &mut pairs {
+        *normal /= mean.sqrt();
+        *distance /= mean.sqrt();
+    }
     pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::rigid::tests::random_points;
+    use snake_geometry::Point;
+
+    /// Three walls of the cube ±1, whose noise grows with the square of x.
+    fn walls(seed: u64) -> FineCloud {
+        let noisy = |(i, p): (usize, Point)| {
+            let mut point = p;
+            point[i % 3] = 1.0;
+            point[i % 3] += 0.04 * (0.5 + 0.5 * point[0]).powi(2) * p[i % 3];
+            point
+        };
+        let points = random_points(&mut ChaCha8Rng::seed_from_u64(seed), 20_000).into_iter().enumerate();
+        FineCloud::new(&points.map(noisy).collect::<Vec<_>>(), 0.4, 1).unwrap()
+    }
+
+    #[test]
+    fn the_noise_of_far_walls_matters_less_than_with_equal_weights() {
+        let rough = IsometryMatrix3::new(Vector::new(0.02, -0.01, 0.02), Vector::new(0.01, 0.01, -0.01));
+        let counter = Counter::default();
+        let [mut weighed, mut equal] = [0.0; 2];
+        for seed in 0..5 {
+            let clouds = [walls(seed), walls(seed + 100)];
+            let [source, target] = &clouds;
+            let pairs = |transform: &_| overlap([source, target], transform, 0.1).patches;
+            let plain = iterate(pairs, rough, None, (12, 0.1), &counter).unwrap();
+            let refined = refine_on_patches([source, target], rough, None, &counter).unwrap();
+            weighed += refined.translation.vector.norm() + refined.rotation.angle();
+            equal += plain.translation.vector.norm() + plain.rotation.angle();
+        }
+        assert!(weighed < 0.5 * equal, "{weighed} {equal}");
+    }
 }

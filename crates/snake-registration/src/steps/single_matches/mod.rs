@@ -172,7 +172,8 @@ mod tests {
         let source = room();
         let target = crate::transform_points(&RigidTransform::from(truth), &source);
         let options = RegisterOptions::default().with_use_viewpoints(use_viewpoints);
-        let prepared = prepare(&[&source[..], &target], &[], None, &options, &Control::default()).unwrap();
+        let sensors = [Some([0.0; 3]); 2];
+        let prepared = prepare(&[&source[..], &target], &sensors, None, &options, &Control::default()).unwrap();
         let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
         assert_eq!(pair.is_signed(), use_viewpoints);
         let nearest = |row: usize, truth: &IsometryMatrix3<f64>| {

@@ -1,0 +1,414 @@
+//! Where the sensor of a cloud stood, found in its points.
+//!
+//! The rays of a sensor have about equal angles, so the number of its points per area of a surface is `k |cos| / r²`: it falls
+//! with the squared distance r from the sensor and with the angle between ray and normal. A model is sampled evenly instead,
+//! and merged or fused scans have the densities of several sensors. A place is the sensor's if it explains the densities much
+//! better than an even sampling does, and if what it leaves unexplained is noise, not regions that another sensor saw too. The
+//! frame's origin is taken where the densities lead to it and, as that of a camera whose images were fused, where they do not
+//! tell and the cloud lies ahead of it, most of it in view.
+
+use std::collections::HashMap;
+use std::f64::consts::SQRT_2;
+use std::num::NonZeroUsize;
+
+use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
+use serde::{Deserialize, Serialize};
+
+use crate::{Neighbors, Point, Vector, eigen, vector};
+
+/// Number of points among which neighbours are searched, at most. Among fewer, neighbourhoods are wider than furniture.
+const MAX_POINTS: usize = 16_384;
+/// Number of densities, at most.
+const MAX_DENSITIES: usize = 1500;
+/// Fewer densities tell nothing.
+const MIN_DENSITIES: usize = 100;
+/// Number of nearest points that give a density and a normal.
+const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
+/// Largest ratio of the variance across a neighbourhood to the smaller one along it.
+const MAX_THICKNESS: f64 = 0.1;
+/// Smallest ratio of the two variances along it: less is a single beam.
+const MIN_WIDTH: f64 = 0.1;
+/// Residuals of log densities up to about this count fully. Those of random samples have a standard deviation of 0.25.
+const SCALE: f64 = 0.35;
+/// Smaller cosines are smoothed: a ray along a surface meets its roughness.
+const MIN_COSINE: f64 = 0.03;
+/// Number of places along each axis of the grid from which the search starts.
+const PLACES: i32 = 9;
+/// The grid reaches so many times the median distance of the points from their middle.
+const REACH: f64 = 2.0;
+/// Number of densities that compare the places of the grid.
+const FEW_DENSITIES: usize = 200;
+/// Number of places of the grid from which the search starts.
+const STARTS: usize = 5;
+/// A lattice of rays about an axis lowers the cost to this share at most. Scanners have 0.4 and less, cameras 0.06, others 0.8.
+const LATTICE_COST: f64 = 0.6;
+/// Number of steps of a search, at most.
+const MAX_STEPS: usize = 20;
+/// A sensor leaves at most this share unexplained: of the cost that an even sampling has, and with it of the points, which
+/// others hide. Made scans have up to 0.47, merged scans and models 0.53 and more.
+const MAX_UNEXPLAINED: f64 = 0.5;
+/// A place this near to the frame's origin is the origin. Unit: median distances of the points from there.
+const AT_ORIGIN: f64 = 0.15;
+/// What a sensor leaves is at most so many times the cost of the differences of neighbours: merged scans, whose parts were seen
+/// by one sensor or by two, have 1.4 and more. To both is added this.
+const MAX_EXCESS: f64 = 1.4;
+const EXCESS_NOISE: f64 = 0.05;
+/// Added to the cost of a fit: that of a perfect lattice is near 0.
+const MIN_NOISE: f64 = 0.02;
+/// Neighbours of this rank among the densities share few points with each other.
+const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
+/// Side of a pixel for what is visible, as the tangent of an angle, for a sensor within the cloud.
+const PIXEL: f64 = 0.05;
+/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.9 and more,
+/// a model about its origin 0 to 0.1, and so has what several scanners saw around them.
+const MIN_AHEAD: f64 = 0.5;
+/// They are not far away either: the median point is at most so many median distances from there. They have 1.9 to 4.
+const MAX_AWAY: f64 = 4.5;
+/// And it sees more than this share of fused images, since it moved. They have 0.59 and more, merged scans from a corner of
+/// their room 0.52 and less.
+const MIN_FUSED: f64 = 0.56;
+/// No plane is nearer than the points at this quantile of nearness.
+const NEAREST: f64 = 0.95;
+
+/// The place of a cloud's sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Sensor {
+    /// The position, in the cloud's frame and units.
+    pub position: [f64; 3],
+    /// Share of the points, 0 to 1, that nothing hides from there.
+    pub visible: f64,
+}
+
+impl Sensor {
+    /// Finds the sensor of a cloud that was seen from one place; `None` for models, merged scans and whatever does not tell.
+    /// Points that are not finite do not count.
+    pub fn find(points: &[Point]) -> Option<Self> {
+        let points = sample(points);
+        if points.len() < MIN_DENSITIES {
+            return None;
+        }
+        let cloud = Neighbors::new(points).ok()?;
+        let densities = Density::measure(&cloud);
+        if densities.len() < MIN_DENSITIES {
+            return None;
+        }
+        let best = search(&densities, &cloud.points);
+        let unexplained = (best.cost + MIN_NOISE) / cost_of_even(&densities);
+        if unexplained > MAX_UNEXPLAINED {
+            return Self::before_fused(&cloud.points);
+        }
+        let distance = median(cloud.points.iter().map(Vector::norm).collect());
+        let place = if best.place.norm() < AT_ORIGIN * distance { Vector::zeros() } else { best.place };
+        let visible = visible_share(&cloud.points, &place);
+        let is_sensor = unexplained + 1.0 - visible < MAX_UNEXPLAINED && leaves_noise(&densities, &best)?;
+        is_sensor.then(|| Self { position: place.into(), visible })
+    }
+
+    /// The frame's origin, if the fused images of a camera may have been taken there: their densities do not tell.
+    fn before_fused(points: &[Vector]) -> Option<Self> {
+        let ahead = points.iter().filter_map(|point| point.try_normalize(0.0)).sum::<Vector>() / points.len() as f64;
+        let (center, radius) = middle(points);
+        let visible = visible_share(points, &Vector::zeros());
+        let is_near = ahead.norm() > MIN_AHEAD && center.norm() < MAX_AWAY * radius;
+        (is_near && visible > MIN_FUSED).then_some(Self { position: [0.0; 3], visible })
+    }
+
+    /// A sensor whose position is known.
+    pub fn at(position: [f64; 3], points: &[Point]) -> Self {
+        let points = sample(points);
+        let visible = if points.is_empty() { 0.0 } else { visible_share(&points, &position.into()) };
+        Self { position, visible }
+    }
+}
+
+/// One finite point of each of [`MAX_POINTS`] stretches of the cloud, at a random place in it: a fixed step would take the same
+/// columns of each row of a scan.
+fn sample(points: &[Point]) -> Vec<Vector> {
+    let step = points.len().div_ceil(MAX_POINTS).max(1);
+    let random = |(index, stretch): (usize, &[Point])| {
+        // SplitMix64 by Steele, Lea and Flood.
+        let mixed = (index as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        vector(stretch[(mixed ^ mixed >> 31) as usize % stretch.len()])
+    };
+    let finite = |point: &Vector| point.iter().all(|v| v.is_finite());
+    points.chunks(step).enumerate().map(random).filter(finite).collect()
+}
+
+/// A planar neighbourhood.
+struct Density {
+    point: Vector,
+    normal: Vector,
+    /// The logarithm of the number of points per area, up to a constant.
+    log: f64,
+}
+
+impl Density {
+    fn measure(cloud: &Neighbors) -> Vec<Self> {
+        let measured = |point: &Vector| {
+            let near: Vec<usize> = cloud.nearest(point, NEIGHBORS).into_iter().map(|(index, _)| index).collect();
+            let ([across, width, length], normal) = eigen(cloud.covariance(&near));
+            let is_planar = across < MAX_THICKNESS * width && width > MIN_WIDTH * length;
+            is_planar.then(|| Self { point: *point, normal, log: -0.5 * (width * length).ln() })
+        };
+        let step = cloud.points.len().div_ceil(MAX_DENSITIES);
+        cloud.points.iter().step_by(step).filter_map(measured).collect()
+    }
+
+    /// The logarithm of the number of rays per solid angle, or per cell of a lattice, that a sensor at a place would have
+    /// here, and its gradients by the place and by the lattice's axis.
+    fn rays(&self, place: &Vector, lattice: Lattice, axis: &Vector) -> (f64, Vector, Vector) {
+        let offset = self.point - place;
+        let distance = offset.norm().max(f64::MIN_POSITIVE);
+        let ray = offset / distance;
+        let cosine = ray.dot(&self.normal);
+        let smooth = cosine * cosine + MIN_COSINE * MIN_COSINE;
+        let log = self.log + 2.0 * distance.ln() - 0.5 * smooth.ln();
+        let slope = cosine / smooth * (self.normal - cosine * ray) - 2.0 * ray;
+        let height = ray.dot(axis);
+        let (cell, by_height) = lattice.cell(height);
+        let by_place = (slope - by_height * (axis - height * ray)) / distance;
+        (log + cell, by_place, by_height * (ray - height * axis))
+    }
+}
+
+/// How the rays of a sensor lie about its axis.
+#[derive(Clone, Copy, PartialEq)]
+enum Lattice {
+    /// Equal angles all ways.
+    None,
+    /// Equal steps of elevation and azimuth: a scanner that turns about the axis.
+    Turning,
+    /// The squares of an image across the axis.
+    Image,
+}
+
+impl Lattice {
+    /// The logarithm of a cell's solid angle at this cosine from the axis, and its derivative.
+    fn cell(self, height: f64) -> (f64, f64) {
+        match self {
+            Self::None => (0.0, 0.0),
+            Self::Turning => {
+                let squared = (1.0 - height * height).max(0.0) + MIN_COSINE * MIN_COSINE;
+                (0.5 * squared.ln(), -height / squared)
+            }
+            Self::Image => {
+                let height = height.max(MIN_COSINE);
+                (3.0 * height.ln(), 3.0 / height)
+            }
+        }
+    }
+}
+
+/// The robust cost of a residual, 0 to 1, and its weight in least squares (Geman and McClure).
+fn robust(residual: f64) -> (f64, f64) {
+    let squared = (residual / (2.0 * SCALE)).powi(2);
+    (squared / (1.0 + squared), (1.0 + squared).powi(-2))
+}
+
+fn mean_cost(residuals: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = residuals.len() as f64;
+    residuals.fold(0.0, |sum, residual| sum + robust(residual).0) / count
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The median of points, and their median distance from there.
+fn middle(points: &[Vector]) -> (Vector, f64) {
+    let center = Vector::from_fn(|axis, _| median(points.iter().map(|point| point[axis]).collect()));
+    (center, median(points.iter().map(|point| (point - center).norm()).collect()))
+}
+
+/// What it costs to say that the points are spread evenly over the surfaces.
+fn cost_of_even(densities: &[Density]) -> f64 {
+    let usual = median(densities.iter().map(|density| density.log).collect());
+    mean_cost(densities.iter().map(|density| density.log - usual))
+}
+
+/// A place of the sensor.
+#[derive(Clone, Copy)]
+struct Fit {
+    place: Vector,
+    lattice: Lattice,
+    axis: Vector,
+    /// The logarithm of its rays per solid angle or cell.
+    log: f64,
+    cost: f64,
+}
+
+impl Fit {
+    fn at(densities: &[&Density], place: Vector, lattice: Lattice, axis: Vector) -> Self {
+        let rays: Vec<f64> = densities.iter().map(|density| density.rays(&place, lattice, &axis).0).collect();
+        let log = median(rays.clone());
+        Self { place, lattice, axis, log, cost: mean_cost(rays.iter().map(|rays| rays - log)) }
+    }
+
+    fn residual(&self, density: &Density) -> f64 {
+        density.rays(&self.place, self.lattice, &self.axis).0 - self.log
+    }
+
+    /// The best fit near this one, by the method of Levenberg and Marquardt.
+    fn improved(&self, densities: &[&Density]) -> Self {
+        let (mut best, mut damping) = (*self, 1e-3);
+        for _ in 0..MAX_STEPS {
+            let (mut squares, mut gradient) = (SMatrix::<f64, 7, 7>::identity() * 1e-9, SVector::<f64, 7>::zeros());
+            for density in densities {
+                let (rays, by_place, by_axis) = density.rays(&best.place, best.lattice, &best.axis);
+                let row: SVector<f64, 7> =
+                    SVector::from_iterator(by_place.iter().chain(&by_axis).copied().chain([-1.0]));
+                let weight = robust(rays - best.log).1;
+                squares += weight * row * row.transpose();
+                gradient += weight * (rays - best.log) * row;
+            }
+            let before = best.cost;
+            while best.cost == before && damping < 1e6 {
+                let damped = squares + SMatrix::from_diagonal(&(damping * squares.diagonal()));
+                let step = damped.cholesky().map(|factors| factors.solve(&-gradient)).unwrap_or_default();
+                let axis = (best.axis + step.fixed_rows::<3>(3)).normalize();
+                let next = Self { place: best.place + step.fixed_rows::<3>(0), axis, log: best.log + step[6], ..best };
+                let cost = mean_cost(densities.iter().map(|density| next.residual(density)));
+                if cost < before {
+                    best = Self { cost, ..next };
+                }
+                damping *= if cost < before { 0.1 } else { 10.0 };
+            }
+            if before - best.cost < 1e-6 {
+                break;
+            }
+        }
+        best
+    }
+}
+
+/// The best place, searched from a grid around the cloud by some densities, then by all. A scanner turns about an axis of its
+/// surroundings: the vertical, mostly.
+fn search(densities: &[Density], points: &[Vector]) -> Fit {
+    let (center, radius) = middle(points);
+    let reach = REACH * radius;
+    let all: Vec<&Density> = densities.iter().collect();
+    let few: Vec<&Density> = all.iter().step_by(all.len().div_ceil(FEW_DENSITIES)).copied().collect();
+    let offset = |at: i32| reach * f64::from(2 * (at % PLACES) - (PLACES - 1)) / f64::from(PLACES - 1);
+    let place = |at: i32| center + Vector::new(offset(at), offset(at / PLACES), offset(at / PLACES / PLACES));
+    let by_cost = |a: &Fit, b: &Fit| a.cost.total_cmp(&b.cost);
+    let start = |at| Fit::at(&few, place(at), Lattice::None, Vector::z());
+    let mut starts: Vec<Fit> = (0..PLACES.pow(3)).map(start).collect();
+    starts.sort_by(by_cost);
+    let fits = starts[..STARTS].iter().map(|start| start.improved(&few));
+    let best = fits.min_by(by_cost).unwrap_or(starts[0]);
+    let normals: Matrix3<f64> = densities.iter().map(|density| density.normal * density.normal.transpose()).sum();
+    let axes = SymmetricEigen::new(normals).eigenvectors;
+    let turning = axes.column_iter().map(|axis| (Lattice::Turning, Vector::from(axis)));
+    let lattices = turning.chain([(Lattice::Image, (center - best.place).normalize())]);
+    let fits = lattices.map(|(lattice, axis)| Fit::at(&few, best.place, lattice, axis).improved(&few));
+    let best = fits.filter(|fit| fit.cost < LATTICE_COST * best.cost).min_by(by_cost).unwrap_or(best);
+    Fit::at(&all, best.place, best.lattice, best.axis).improved(&all)
+}
+
+/// Whether neighbours differ as much as all densities do from the sensor's, apart from a smooth change with the direction: a
+/// LiDAR has more rays per solid angle at some elevations.
+fn leaves_noise(densities: &[Density], fit: &Fit) -> Option<bool> {
+    let near = Neighbors::new(densities.iter().map(|density| density.point).collect()).ok()?;
+    let mut residuals: Vec<f64> = densities.iter().map(|density| fit.residual(density)).collect();
+    let directions: Vec<_> = densities.iter().map(|density| smooth_functions(&(density.point - fit.place))).collect();
+    for _ in 0..4 {
+        let (mut squares, mut sums) = (SMatrix::<f64, 10, 10>::identity() * 1e-3, SVector::<f64, 10>::zeros());
+        for (row, residual) in directions.iter().zip(&residuals) {
+            let weight = robust(*residual).1;
+            squares += weight * row * row.transpose();
+            sums += weight * *residual * row;
+        }
+        let change = squares.cholesky()?.solve(&sums);
+        residuals.iter_mut().zip(&directions).for_each(|(residual, row)| *residual -= change.dot(row));
+    }
+    let neighbor = |point: &Vector| near.nearest(point, APART).last().map_or(0, |(index, _)| *index);
+    let differences = densities.iter().zip(&residuals);
+    let differences = differences.map(|(density, residual)| (residual - residuals[neighbor(&density.point)]) / SQRT_2);
+    Some(mean_cost(residuals.iter().copied()) + EXCESS_NOISE < MAX_EXCESS * (mean_cost(differences) + EXCESS_NOISE))
+}
+
+/// The monomials up to degree 2 of a direction: all its smooth functions.
+fn smooth_functions(direction: &Vector) -> SVector<f64, 10> {
+    let [x, y, z] = (direction / direction.norm().max(f64::MIN_POSITIVE)).into();
+    SVector::from([1.0, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
+}
+
+/// The share of the points that no other hides from a place, in pixels on the faces of a cube around it.
+fn visible_share(points: &[Vector], place: &Vector) -> f64 {
+    let center = points.iter().sum::<Vector>() / points.len() as f64;
+    let radius = points.iter().map(|point| (point - center).norm()).fold(0.0, f64::max);
+    // From afar the cloud is small, and so are its pixels.
+    let side = PIXEL * (radius / (center - place).norm().max(f64::MIN_POSITIVE)).min(1.0);
+    let pixel = |point: &Vector| {
+        let offset = point - place;
+        let face = offset.iamax();
+        let depth = offset[face].abs().max(f64::MIN_POSITIVE);
+        let at = |axis: usize| (offset[(face + axis) % 3] / depth / side).floor() as i64;
+        (face, offset[face] < 0.0, at(1), at(2))
+    };
+    let nearness = |point: &Vector| (point - place).norm().max(f64::MIN_POSITIVE).recip();
+    let seen: Vec<_> = points.iter().map(|point| (pixel(point), nearness(point))).collect();
+    let mut nearest = HashMap::with_capacity(points.len());
+    for (pixel, nearness) in &seen {
+        nearest.entry(pixel).and_modify(|most: &mut f64| *most = nearness.max(*most)).or_insert(*nearness);
+    }
+    // Within a pixel, the inverse distance of a plane varies by the side over the plane's own distance.
+    let mut sorted: Vec<f64> = seen.iter().map(|(_, nearness)| *nearness).collect();
+    let at = (NEAREST * (sorted.len() - 1) as f64) as usize;
+    let tolerance = side * *sorted.select_nth_unstable_by(at, f64::total_cmp).1;
+    let visible = seen.iter().filter(|(pixel, nearness)| *nearness >= nearest[pixel] - tolerance);
+    visible.count() as f64 / points.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EYES: [[f64; 3]; 2] = [[2.0, 1.5, 1.4], [4.5, 3.0, 1.2]];
+    const SITE: Vector = Vector::new(30.0, -20.0, 5.0);
+
+    /// What a scanner sees of a room of 6 x 4.5 x 2.6 m, moved by a site's coordinates.
+    fn scan(eye: [f64; 3]) -> Vec<Point> {
+        let seen = |index: u32| {
+            let (elevation, azimuth) = (f64::from(index / 300) * 0.02 - 1.0, f64::from(index % 300) * 0.020_944);
+            let ray = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
+            let wall =
+                |axis: usize| (if ray[axis] > 0.0 { [6.0, 4.5, 2.6][axis] } else { 0.0 } - eye[axis]) / ray[axis];
+            let range = (0..3).map(wall).fold(f64::INFINITY, f64::min);
+            (SITE + Vector::from(eye) + range * Vector::from(ray)).map(|v| v as f32).into()
+        };
+        (0..300 * 100).map(seen).collect()
+    }
+
+    #[test]
+    fn the_sensor_of_a_scan_is_found_in_any_frame_and_that_of_merged_scans_is_not() {
+        for eye in EYES {
+            let sensor = Sensor::find(&scan(eye)).unwrap();
+            let off = Vector::from(sensor.position) - Vector::from(eye) - SITE;
+            assert!(off.norm() < 0.15 && sensor.visible > 0.95, "{sensor:?}");
+        }
+        assert_eq!(Sensor::find(&EYES.map(scan).concat()), None);
+    }
+
+    #[test]
+    fn what_is_sampled_evenly_has_no_sensor_even_about_the_origin() {
+        let unit = |index: usize, step: f64| (index as f64 * step).fract() as f32 - 0.5;
+        let cube = |index: usize| {
+            let mut point = [unit(index, 0.618_034), unit(index, 0.754_878), unit(index, 0.569_840)];
+            point[index % 3] = point[index % 3].signum();
+            point
+        };
+        let ball = |index: usize| {
+            let (z, angle) = (2.0 * unit(index, 0.754_878), 6.283_185 * unit(index, 0.618_034));
+            let ring = (1.0 - z * z).sqrt();
+            [ring * angle.cos(), ring * angle.sin(), z]
+        };
+        let [cube, ball]: [Vec<Point>; 2] = [(0..20_000).map(cube).collect(), (0..20_000).map(ball).collect()];
+        for points in [&cube[..], &ball, &[], &[[1.0; 3]; 500], &[[f32::NAN; 3]; 500]] {
+            assert_eq!(Sensor::find(points), None);
+        }
+    }
+}
