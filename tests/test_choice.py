@@ -65,6 +65,7 @@ class Keypoint(ctypes.Structure):
         ("occupancy", ctypes.c_float),
         ("nearest_index", ctypes.c_size_t),
         ("confidence", ctypes.c_float),
+        ("covariance", ctypes.c_float * 9),
     ]
 
 

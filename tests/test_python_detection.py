@@ -87,6 +87,25 @@ def test_the_warning_comes_before_a_long_detection():
         signal.signal(signal.SIGALRM, before)
 
 
+def test_the_covariance_of_a_corner_is_known_and_that_of_an_edge_is_infinite(tmp_path):
+    grid = np.stack(np.meshgrid(*[np.arange(0, 2, 0.025)] * 2), axis=-1).reshape(-1, 2)
+    faces = [np.insert(grid, axis, 0, axis=1) for axis in range(3)]
+    room = np.concatenate(faces) + np.random.default_rng(0).normal(0, 0.003, (3 * len(grid), 3))
+    found = snake_rs.detect(room, "scenes", min_confidence=0)
+    assert found.covariance.shape == (len(found), 3, 3) and found.covariance.dtype == np.float32
+    corner = np.linalg.norm(found.points, axis=1).argmin()
+    error, covariance = found.points[corner], found.covariance[corner].astype(float)
+    assert np.linalg.norm(error) < 0.015 and found.confidence[corner] == found.confidence.max()
+    assert error @ np.linalg.solve(covariance, error) < 16  # 99.9 % of three degrees of freedom
+    assert np.isinf(found.covariance).any()
+    assert np.array_equal(found[corner].covariance, found.covariance[corner])
+    found.save(tmp_path / "keypoints.json")
+    read = snake_rs.Keypoints.load(tmp_path / "keypoints.json").covariance
+    assert (
+        np.array_equal(read[corner], found.covariance[corner]) and (np.isinf(read) == np.isinf(found.covariance)).all()
+    )
+
+
 def test_keypoints_have_their_confidence(points):
     found = snake_rs.detect(points)
     assert found.confidence.dtype == np.float32 and found[0].confidence == found.confidence[0] > 0

@@ -6,24 +6,24 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MAX_LINES = {
-    "crates/snake-capi": 897,
-    "crates/snake-cli": 6571,
-    "crates/snake-core": 11353,
+    "crates/snake-capi": 903,
+    "crates/snake-cli": 6572,
+    "crates/snake-core": 12042,
     "crates/snake-detectors": 1299,
-    "crates/snake-geometry": 5207,
-    "crates/snake-io": 10726,
+    "crates/snake-geometry": 5329,
+    "crates/snake-io": 10741,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 11573,
-    "crates/snake-tiles": 1839,
+    "crates/snake-tiles": 1856,
     "crates/snake-view": 572,
     "docs": 423,
     "examples": 500,
     "fuzz": 79,
-    "python": 4573,
+    "python": 4606,
     "samples": 96,
-    "tests": 5551,
+    "tests": 5757,
     "tools": 267,
-    "training": 13016,
+    "training": 13059,
 }
 
 

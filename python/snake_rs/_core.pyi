@@ -368,6 +368,7 @@ class Keypoint:
         occupancy: float,
         nearest_index: int,
         confidence: float | None,
+        covariance: NDArray[np.float32],
     ) -> Self: ...
     @property
     def position(self) -> NDArray[Any]: ...
@@ -379,6 +380,8 @@ class Keypoint:
     def nearest_index(self) -> int: ...
     @property
     def confidence(self) -> float | None: ...
+    @property
+    def covariance(self) -> NDArray[np.float32]: ...
 
 @final
 class Keypoints:
@@ -389,6 +392,7 @@ class Keypoints:
         occupancy: NDArray[np.float32],
         nearest_index: NDArray[np.int64],
         confidence: NDArray[np.float32],
+        covariance: NDArray[np.float32],
         num_skipped: int,
         counts: dict[str, int],
         timing_seconds: dict[str, float],
@@ -409,6 +413,8 @@ class Keypoints:
     def nearest_index(self) -> NDArray[np.int64]: ...
     @property
     def confidence(self) -> NDArray[np.float32]: ...
+    @property
+    def covariance(self) -> NDArray[np.float32]: ...
     @property
     def num_skipped(self) -> int: ...
     @property

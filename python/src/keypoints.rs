@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyImportError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyIterator, PyList, PySlice, PyTuple};
@@ -28,18 +28,28 @@ pub struct Keypoint {
     nearest_index: i64,
     /// Probability in [0, 1] that another view finds it again; None if the model's file has no map of confidences.
     confidence: Option<f32>,
+    /// Covariance (3, 3) of the position, see `Keypoints.covariance`.
+    covariance: Py<PyAny>,
 }
 
 #[pymethods]
 impl Keypoint {
     #[new]
-    fn new(position: Py<PyAny>, saliency: f32, occupancy: f32, nearest_index: i64, confidence: Option<f32>) -> Self {
-        Self { position, saliency, occupancy, nearest_index, confidence }
+    fn new(
+        position: Py<PyAny>,
+        saliency: f32,
+        occupancy: f32,
+        nearest_index: i64,
+        confidence: Option<f32>,
+        covariance: Py<PyAny>,
+    ) -> Self {
+        Self { position, saliency, occupancy, nearest_index, confidence, covariance }
     }
 
     /// The content of a pickle: the arguments of a new keypoint.
-    fn __getnewargs__(&self, py: Python<'_>) -> (Py<PyAny>, f32, f32, i64, Option<f32>) {
-        (self.position.clone_ref(py), self.saliency, self.occupancy, self.nearest_index, self.confidence)
+    fn __getnewargs__(&self, py: Python<'_>) -> (Py<PyAny>, f32, f32, i64, Option<f32>, Py<PyAny>) {
+        let Self { position, saliency, occupancy, nearest_index, confidence, covariance } = self;
+        (position.clone_ref(py), *saliency, *occupancy, *nearest_index, *confidence, covariance.clone_ref(py))
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
@@ -48,7 +58,7 @@ impl Keypoint {
     }
 }
 
-/// K keypoints, sorted by decreasing saliency, with the counts and times of their detection. It can be pickled.
+/// K keypoints, best first, with the counts and times of their detection. It can be pickled.
 ///
 /// It is a sequence: `keypoints[0]` is a `Keypoint`, and a slice, a mask or an array of indices gives `Keypoints` again.
 /// `numpy.asarray` gives the positions (K, 3).
@@ -70,6 +80,10 @@ pub struct Keypoints {
     /// radius of an object, two voxels of a scene; not a number if the model's file has no map of confidences.
     #[pyo3(get)]
     confidence: Py<PyArray1<f32>>,
+    /// Covariance (K, 3, 3) float32 of the positions in squared units of the cloud, by the tangent planes of the points around
+    /// each. It is infinite along directions that they leave open: one at an edge, two on a plane, all without a surface.
+    #[pyo3(get)]
+    covariance: Py<PyArray3<f32>>,
     /// Number of input points that were skipped because they are not finite, or are outliers.
     #[pyo3(get)]
     num_skipped: usize,
@@ -105,7 +119,7 @@ impl Keypoints {
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
-        let note = detection.note();
+        let note = detection.note(chosen.options.detect.max_keypoints);
         warn(py, &note)?;
         notes.extend(note);
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
@@ -142,6 +156,10 @@ impl Keypoints {
             nearest_index: arrays::values(py, keypoints.iter().map(|k| k.nearest_index as i64).collect()).unbind(),
             confidence: arrays::values(py, keypoints.iter().map(|k| k.confidence.unwrap_or(f32::NAN)).collect())
                 .unbind(),
+            covariance: {
+                let entries = keypoints.iter().flat_map(|k| k.covariance.rows()).flatten().collect();
+                arrays::values(py, entries).reshape([keypoints.len(), 3, 3])?.unbind()
+            },
             num_skipped,
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
@@ -169,7 +187,7 @@ pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py,
 #[pymethods]
 impl Keypoints {
     #[new]
-    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, timing_seconds, descriptors=None, model=None, voxel_size=None, notes=vec![]))]
+    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, covariance, num_skipped, counts, timing_seconds, descriptors=None, model=None, voxel_size=None, notes=vec![]))]
     #[expect(clippy::too_many_arguments, reason = "the state of a pickle")]
     fn new(
         points: Positions,
@@ -177,6 +195,7 @@ impl Keypoints {
         occupancy: Py<PyArray1<f32>>,
         nearest_index: Py<PyArray1<i64>>,
         confidence: Py<PyArray1<f32>>,
+        covariance: Py<PyArray3<f32>>,
         num_skipped: usize,
         counts: Py<PyDict>,
         timing_seconds: Py<PyDict>,
@@ -193,6 +212,7 @@ impl Keypoints {
             occupancy,
             nearest_index,
             confidence,
+            covariance,
             num_skipped,
             counts,
             timing_seconds,
@@ -260,14 +280,18 @@ impl Keypoints {
         let confidence = self.confidence.bind(py).try_readonly()?;
         let scores = saliency.as_slice()?.iter().zip(occupancy.as_slice()?).zip(confidence.as_slice()?);
         let scores = scores.zip(nearest_index.as_slice()?);
-        let rows = cloud.points.iter().zip(scores);
-        let keypoints = rows.map(|(&position, (((&saliency, &occupancy), &confidence), &index))| core::Keypoint {
-            position,
-            saliency,
-            occupancy,
-            nearest_index: index as usize,
-            confidence: (!confidence.is_nan()).then_some(confidence),
-        });
+        let covariance = self.covariance.bind(py).try_readonly()?;
+        let covariances = covariance.as_slice()?.as_chunks::<3>().0.as_chunks::<3>().0.iter();
+        let rows = cloud.points.iter().zip(scores).zip(covariances);
+        let keypoints =
+            rows.map(|((&position, (((&saliency, &occupancy), &confidence), &index)), &rows)| core::Keypoint {
+                position,
+                saliency,
+                occupancy,
+                nearest_index: index as usize,
+                confidence: (!confidence.is_nan()).then_some(confidence),
+                covariance: rows.into(),
+            });
         let keypoints: Vec<core::Keypoint> = keypoints.collect();
         let source = KeypointSource::new(&path, cloud.origin);
         py.detach(|| write_keypoints(&path, &keypoints, &source)).map_err(py_error)?;
@@ -311,10 +335,12 @@ impl Keypoints {
             [&self.saliency, &self.occupancy, &self.confidence].map(|values| values.bind(py).get_item(index));
         let (saliency, occupancy, confidence) = (saliency?, occupancy?, confidence?);
         let nearest = self.nearest_index.bind(py).get_item(index)?;
+        let covariance = self.covariance.bind(py).get_item(index)?;
         if points.getattr("ndim")?.extract::<usize>()? == 1 {
             let (saliency, occupancy, nearest_index) = (saliency.extract()?, occupancy.extract()?, nearest.extract()?);
             let confidence = Some(confidence.extract::<f32>()?).filter(|probability| !probability.is_nan());
-            let keypoint = Keypoint { position: points.unbind(), saliency, occupancy, nearest_index, confidence };
+            let (position, covariance) = (points.unbind(), covariance.unbind());
+            let keypoint = Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance };
             return Ok(Bound::new(py, keypoint)?.into_any());
         }
         let contiguous = |values: Bound<'py, PyAny>| values.call_method0("copy");
@@ -324,6 +350,7 @@ impl Keypoints {
             occupancy: contiguous(occupancy)?.extract()?,
             nearest_index: contiguous(nearest)?.extract()?,
             confidence: contiguous(confidence)?.extract()?,
+            covariance: contiguous(covariance)?.extract()?,
             num_skipped: self.num_skipped,
             counts: self.counts.clone_ref(py),
             timing_seconds: self.timing_seconds.clone_ref(py),
@@ -350,8 +377,8 @@ impl Keypoints {
     }
 
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        let Self { points, saliency, occupancy, nearest_index, confidence, num_skipped, counts, .. } = self;
-        let arrays = (points, saliency, occupancy, nearest_index, confidence).into_pyobject(py)?;
+        let Self { points, saliency, occupancy, nearest_index, confidence, covariance, num_skipped, counts, .. } = self;
+        let arrays = (points, saliency, occupancy, nearest_index, confidence, covariance).into_pyobject(py)?;
         let Self { timing_seconds, model, voxel_size, notes, .. } = self;
         let descriptors = self.descriptors.get();
         let others = (num_skipped, counts, timing_seconds, descriptors, model, voxel_size, notes).into_pyobject(py)?;

@@ -67,7 +67,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// completed and all units of its work, at most every 20 ms; what it raises ends the call.
 ///
 /// A UserWarning says if the cloud has outliers, is far from the scale that model and options are for, or if an option gave it
-/// another model than it would have without it, if there are no keypoints, and what the file says of its points. These texts are also in `Keypoints.notes`. Raises ValueError for an
+/// another model than it would have without it, if keypoints are few, and what the file says of its points. These texts are also in `Keypoints.notes`. Raises ValueError for an
 /// invalid array or value, OSError for a file that cannot be read, and TypeError for an unknown option.
 ///
 /// A list or tuple of clouds gives a list of `Keypoints`, in its order. The clouds are detected side by side on all cores; an

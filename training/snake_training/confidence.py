@@ -1,12 +1,14 @@
-"""Fits the map from a keypoint's score to the probability that another view finds it again, and writes it into a weight file:
+"""Fits the map from a keypoint to the probability that another view finds it again, and writes it into a weight file:
 
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
-Half of the objects or of the pairs is for the fit, the other half for the expected calibration error that is printed; folders of
-`--test` are only for that. Detection is that of snake-rs with the options that the file recommends. A keypoint is found again if one
-of the other view lies within 4 % of the radius of an object, or two voxels of a scene. In a scene only keypoints count whose place
-the other view saw: one of its points lies within a voxel. The tensors and their digest stay.
+The score counts, and how well the points determine the place: each halving of the largest standard deviation adds to the score.
+Pairs are used as they are, thinned, and with noise. Half of the objects or of the pairs is for the fit, the other half for the
+expected calibration error that is printed; folders of `--test` are only for that. Detection is that of snake-rs with the options
+that the file recommends. A keypoint is found again if one of the other view lies within 4 % of the radius of an object, or two
+voxels of a scene, at most a 104th of its diagonal. In a scene only keypoints count whose place the other view saw: one of its points
+lies within a voxel. The tensors and their digest stay.
 """
 
 import json
@@ -18,11 +20,18 @@ from safetensors.numpy import load_file, save, save_file
 from scipy.spatial import cKDTree
 
 from .arguments import option, parser_of
+from .augment import choose
 from .data import open_shapes
 from .evaluation.views import view_pairs
 from .export import replacing
 
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
+SCENE_SHARE = 104  # the reach is at most this part of a scene's diagonal: sparse points have large voxels
+DEVIATIONS = 0.06, 0.6  # smaller and larger standard deviations count as these, in voxels
+MIN_SCORE_WEIGHT = 0.1  # of the logistic function
+DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
+MIN_POINTS = 2000  # of a thinned cloud
+RIDGE = 1e-6
 
 
 def repeated(points, others, reach):
@@ -30,42 +39,63 @@ def repeated(points, others, reach):
     return cKDTree(others).query(points)[0] <= reach if len(others) else np.zeros(len(points), bool)
 
 
+def features_of(keypoints):
+    """The score, and how often the largest standard deviation is halved, from the largest one that counts: (K, 2)."""
+    covariance = np.asarray(keypoints.covariance, float)
+    is_known = np.isfinite(covariance).all(axis=(1, 2))
+    deviation = np.full(len(covariance), np.inf)
+    deviation[is_known] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[is_known])[:, -1], 0))
+    halvings = np.log2(DEVIATIONS[1] / np.clip(deviation / keypoints.voxel_size, *DEVIATIONS))
+    return np.column_stack([keypoints.saliency, halvings])
+
+
 def of_objects(model, shapes, number, points, rotations):
-    """A list of (scores (K,), whether they are found again (K,)) of objects, both of whose views are turned and sampled anew."""
+    """A list of (features (K, 2), whether found again (K,)) of objects, both of whose views are turned and sampled anew."""
     rows = []
     for views in view_pairs(shapes, number, points, 0):
         clouds = views.view_1, views.view_2
         found = [model.encode(cloud.astype(np.float32), rotations=rotations).detect() for cloud in clouds]
         moved = found[1].points @ views.t_1_2[:3, :3].T
         hits = repeated(found[0].points, moved, OBJECT_REACH), repeated(moved, found[0].points, OBJECT_REACH)
-        rows.append((np.concatenate([view.saliency for view in found]), np.concatenate(hits)))
+        rows.append((np.concatenate([features_of(view) for view in found]), np.concatenate(hits)))
     return rows
 
 
-def of_pairs(model, folder, number):
-    """The same list for pairs of scenes, from a folder with `pairs.json`."""
-    listed, clouds, rows = json.loads((folder / "pairs.json").read_text()), {}, []
-
-    def cloud(name):
-        if name not in clouds:
-            points = np.load(folder / f"{name}.npy")[:, :3].astype(np.float32)
-            field = model.encode(points)
-            clouds[name] = field.detect(), cKDTree(points), field.normalization[1]
-        return clouds[name]
-
+def of_pairs(model, folder, number, degraded=DEGRADED):
+    """A list of (features (K, 2), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
+    degraded."""
+    listed, rows = json.loads((folder / "pairs.json").read_text()), []
     for row in np.linspace(0, len(listed) - 1, min(number, len(listed))).round().astype(int):
         pair = listed[row]
-        matrix, both = np.array(pair.get("T_icp") or pair["T"]), [cloud(pair[end]) for end in ("source", "target")]
-        scores, hits = [], []
-        for (view, _, voxel), (other, tree, _), t in zip(
-            both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True
-        ):
-            moved = view.points @ t[:3, :3].T + t[:3, 3]
-            is_seen = tree.query(moved)[0] <= SEEN * voxel
-            scores.append(view.saliency[is_seen])
-            hits.append(repeated(moved[is_seen], other.points, SCENE_REACH * voxel))
-        rows.append((np.concatenate(scores), np.concatenate(hits)))
+        matrix, features, hits = np.array(pair.get("T_icp") or pair["T"]), [], []
+        for share, noise in degraded:
+            rng = np.random.default_rng([row, share])
+            both = []
+            for end in ("source", "target"):
+                points = np.load(folder / f"{pair[end]}.npy")[:, :3].astype(np.float32)
+                points = choose(rng, points, max(len(points) // share, min(len(points), MIN_POINTS)))
+                points += rng.normal(0, noise, points.shape).astype(np.float32)
+                both.append((model.encode(points).detect(), cKDTree(points)))
+            for (view, _), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
+                moved = view.points @ t[:3, :3].T + t[:3, 3]
+                is_seen = tree.query(moved)[0] <= SEEN * other.voxel_size
+                diagonal = np.linalg.norm(np.ptp(tree.data, axis=0))
+                features.append(features_of(view)[is_seen])
+                reach = min(SCENE_REACH * view.voxel_size, diagonal / SCENE_SHARE)
+                hits.append(repeated(moved[is_seen], other.points, reach))
+        rows.append((np.concatenate(features), np.concatenate(hits)))
     return rows
+
+
+def precision_of(features, hits, weights):
+    """What each halving adds to the score, by a logistic function of features (K, 2), fitted by Newton's method."""
+    columns, found = np.column_stack([np.ones(len(features)), features]), np.zeros(features.shape[1] + 1)
+    for _ in range(50):
+        probability = 1 / (1 + np.exp(-columns @ found))
+        slope = columns.T @ (weights * (hits - probability)) - RIDGE * found
+        curvature = (columns * (weights * probability * (1 - probability))[:, None]).T @ columns
+        found += np.linalg.solve(curvature + RIDGE * np.eye(len(found)), slope)
+    return round(float(max(found[2], 0) / max(found[1], MIN_SCORE_WEIGHT)), 4)
 
 
 def isotonic(values, weights):
@@ -105,17 +135,17 @@ def calibration_error(knots, scores, hits, bins=10):
 
 
 def joined(rows):
-    """Scores and hits of all rows."""
+    """Features and hits of all rows."""
     return tuple(np.concatenate(column) for column in zip(*rows, strict=True))
 
 
-def write_map(path, knots):
+def write_map(path, fitted):
     """Writes the map into a weight file's metadata; nothing else changes."""
     with safe_open(path, "numpy") as file:
         metadata = file.metadata()
     tensors = load_file(path)
     with replacing(path) as temporary:
-        save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(knots)})
+        save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(fitted)})
 
 
 def unfiltered(path):
@@ -132,8 +162,8 @@ def unfiltered(path):
 
 
 def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, rotations=(1,), write=True):
-    """Fits the map of a weight file and writes it there; returns the knots, and of each set of clouds the number of keypoints, the
-    share that is found again, and the calibration error. Without keypoints there is no map, and no knots.
+    """Fits the map of a weight file and writes it there; returns it, and of each set of clouds the number of keypoints, the share
+    that is found again, and the calibration error. Without keypoints there is no map.
 
     objects: a corpus folder or a folder of clouds, each measured with all `rotations`. pairs, test: folders of scenes.
     """
@@ -143,24 +173,29 @@ def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, ro
         shapes = open_shapes(objects)
         for copies in rotations:
             sets[f"{objects}, {copies} rotations"] = of_objects(model, shapes, number, num_points, copies)
-    tests = {str(folder): of_pairs(model, Path(folder), number) for folder in test}
+    tests = {
+        f"{folder}, 1 in {share}, noise {noise}": of_pairs(model, Path(folder), number, [(share, noise)])
+        for folder in test
+        for share, noise in DEGRADED[:3]
+    }
     for name, rows in sets.items():
         if len(rows) < 2:
             raise ValueError(f"{name}: two objects or pairs are needed: half of them are left for measuring")
     fitted = [joined(rows[::2]) for rows in sets.values()]
-    scores, hits = joined(fitted)
-    if not len(scores):
-        return {"knots": [], "sets": {}}
+    features, hits = joined(fitted)
+    if not len(features):
+        return {"map": None, "sets": {}}
     weights = np.concatenate([np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted])  # sets count alike
-    knots = fit(scores, hits, weights)
-    report = {"knots": knots, "sets": {}}
+    precision = precision_of(features, hits, weights)
+    knots = fit(features @ [1, precision], hits, weights)
+    report = {"map": {"knots": knots, "precision": precision}, "sets": {}}
     for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
-        scores, hits = joined(rows)
-        error = calibration_error(knots, scores, hits)
-        figures = {"keypoints": len(scores), "found_again": float(hits.mean()), "calibration_error": float(error)}
+        features, hits = joined(rows)
+        error = calibration_error(knots, features @ [1, precision], hits)
+        figures = {"keypoints": len(features), "found_again": float(hits.mean()), "calibration_error": float(error)}
         report["sets"][name] = figures
     if write:
-        write_map(path, knots)
+        write_map(path, report["map"])
     return report
 
 
@@ -184,10 +219,10 @@ def main(argv=None):
         report = fit_map(given.pop("weights"), write=not given.pop("dry_run"), **given)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    if not report["knots"]:
+    if not report["map"]:
         print("no keypoints were found: the file gets no map")
         return
-    print("knots", json.dumps(report["knots"]))
+    print("map", json.dumps(report["map"]))
     for name, found in report["sets"].items():
         print(
             f"{name}: {found['keypoints']} keypoints, {found['found_again']:.3f} found again, "

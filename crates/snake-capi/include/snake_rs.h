@@ -53,6 +53,9 @@ typedef struct SnakeKeypoint {
   size_t nearest_index;
   /// Probability that another view finds it again, 0 to 1; NaN if the model has no map of confidences.
   float confidence;
+  /// Covariance of the position by the points around it, row by row, in squared cloud units; infinite along directions that
+  /// they leave open.
+  float covariance[9];
 } SnakeKeypoint;
 
 /// The rigid transform between two clouds.

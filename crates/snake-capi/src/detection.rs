@@ -23,12 +23,18 @@ pub struct SnakeKeypoint {
     pub nearest_index: usize,
     /// Probability that another view finds it again, 0 to 1; NaN if the model has no map of confidences.
     pub confidence: f32,
+    /// Covariance of the position by the points around it, row by row, in squared cloud units; infinite along directions that
+    /// they leave open.
+    pub covariance: [f32; 9],
 }
 
 impl From<&Keypoint> for SnakeKeypoint {
     fn from(keypoint: &Keypoint) -> Self {
-        let Keypoint { position, saliency, occupancy, nearest_index, confidence } = *keypoint;
-        Self { position, saliency, occupancy, nearest_index, confidence: confidence.unwrap_or(f32::NAN) }
+        let Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance } = *keypoint;
+        let [a, b, c] = covariance.rows();
+        let covariance = [a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]];
+        let confidence = confidence.unwrap_or(f32::NAN);
+        Self { position, saliency, occupancy, nearest_index, confidence, covariance }
     }
 }
 
@@ -73,7 +79,7 @@ pub unsafe extern "C" fn snake_detect(
             let chosen = model.chooser.with_values(&values)?.for_points(&points)?;
             Ok((chosen.detect(&Control::default())?, chosen))
         })?;
-        let notes = chosen.notes().into_iter().chain(found.note());
+        let notes = chosen.notes().into_iter().chain(found.note(chosen.options.detect.max_keypoints));
         let result = SnakeDetection {
             keypoints: found.keypoints.iter().map(SnakeKeypoint::from).collect(),
             voxel_size: found.voxel_size.unwrap_or(f32::NAN),

@@ -31,7 +31,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let chooser = Chooser::default().with_values(&values)?;
     let chosen = chooser.for_points(&points)?;
     let detection = chosen.detect(&Control::default())?;
-    let notes: Vec<String> = chosen.notes().into_iter().chain(detection.note()).collect();
+    let note = detection.note(chosen.options.detect.max_keypoints);
+    let notes: Vec<String> = chosen.notes().into_iter().chain(note).collect();
 
     let (keypoints, voxel_size) = (&detection.keypoints, detection.voxel_size);
     println!("{}", json!({ "model": chosen.name, "voxel_size": voxel_size, "notes": notes, "keypoints": keypoints }));

@@ -72,9 +72,9 @@ pub use options::{
     with_named_values,
 };
 pub use snake_geometry::{
-    Bounds, Cloud, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup, OptionInfo,
-    OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource, RigidTransform,
-    SeparateAxes, add_origin, subtract_origin,
+    Bounds, Cloud, Covariance, Fate, Keypoint, Length, Mesh, Normalization, NormalizationMethod, OptionGroup,
+    OptionInfo, OptionKind, Outliers, Point, PointCloud2Layout, PointCloud2View, PointField, PointSource,
+    RigidTransform, SeparateAxes, add_origin, subtract_origin,
 };
 pub use snake_geometry::{Error, Result};
 #[doc(hidden)]

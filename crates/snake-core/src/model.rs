@@ -155,7 +155,7 @@ impl Model {
 }
 
 impl TileDetector {
-    /// A detector of tiles. It needs [`TileDetector::set_lowest_corner`], without a voxel size
+    /// A detector of tiles. It needs [`TileDetector::set_bounds`], without a voxel size
     /// [`TileDetector::choose_voxel_size`], and with lengths in `r` [`TileDetector::set_resolution`], all for the whole cloud.
     ///
     /// # Errors

@@ -30,8 +30,8 @@ mod text;
 mod transform;
 
 pub use clouds::{
-    Bounds, Cloud, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers, Point, Reach,
-    Sensor, add_origin, check_pairs, check_points, gaps, resolution, subtract_origin, unit,
+    Bounds, Cloud, Covariance, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers,
+    Point, Reach, Sensor, add_origin, check_pairs, check_points, gaps, resolution, subtract_origin, unit,
 };
 pub use error::{Error, Result};
 pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_spread, vector};

@@ -27,9 +27,9 @@
 //! |---|---|---|---|
 //! | `ply` | ascii or binary, any scalar type | binary `x y z` | binary, with colour by saliency |
 //! | `pcd` | ascii, binary, binary_compressed | binary `x y z` | binary, with colour by saliency |
-//! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(N, 3)` of `<f8` | `(K, 7)` of `<f8`, columns as in csv |
+//! | `npy` | `(N, C)`, `C >= 3`, floats or integers | `(N, 3)` of `<f8` | `(K, 8)` of `<f8`, columns as in csv |
 //! | `npz` | the array `points`, `xyz`, `pc`, `pos` or `arr_0`; else the only array with the shape of a cloud | | |
-//! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index,confidence` |
+//! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index,confidence,deviation` |
 //! | `xyz`, `txt`, `pts`, `asc`, `xyzn`, `xyzrgb`, `xyzi` | columns of text | only `xyz` | |
 //! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point; [`PointFormat::Sweep`] has others | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |

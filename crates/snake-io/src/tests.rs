@@ -2,19 +2,27 @@
 
 use std::path::{Path, PathBuf};
 
-use snake_geometry::{Keypoint, Point};
+use snake_geometry::{Covariance, Keypoint, Point};
 
 use super::*;
 use crate::table::shape::Shape;
 
 pub(crate) const KEYPOINTS: [Keypoint; 2] = [
-    Keypoint { position: [0.1, -2.5, 3e-7], saliency: 0.75, occupancy: 0.5, nearest_index: 7, confidence: Some(0.5) },
+    Keypoint {
+        position: [0.1, -2.5, 3e-7],
+        saliency: 0.75,
+        occupancy: 0.5,
+        nearest_index: 7,
+        confidence: Some(0.5),
+        covariance: Covariance::UNKNOWN,
+    },
     Keypoint {
         position: [4.0, 5.0, 1.0e7],
         saliency: 0.3,
         occupancy: 1.0,
         nearest_index: 16_777_217,
         confidence: Some(0.25),
+        covariance: Covariance::UNKNOWN,
     },
 ];
 

@@ -9,7 +9,7 @@ use proptest::num::f32::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use serde_json::Value;
-use snake_core::{Keypoint, Point, RigidTransform};
+use snake_core::{Covariance, Keypoint, Point, RigidTransform};
 use snake_io::{self as io, Cloud, KeypointSource, PointFormat, ReadOptions};
 
 /// An allocator that also counts the memory in use.
@@ -193,7 +193,9 @@ proptest! {
     fn written_keypoints_read_back(
         points in points(), saliency in 0_f32..1.0, occupancy in 0_f32..1.0, nearest_index in 0..1_usize << 31,
     ) {
-        let keypoint = |&position: &Point| Keypoint { position, saliency, occupancy, nearest_index, confidence: None };
+        let (confidence, covariance) = (None, Covariance::UNKNOWN);
+        let keypoint =
+            |&position: &Point| Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance };
         let keypoints: Vec<Keypoint> = points.iter().map(keypoint).collect();
         let _alone = checks::alone();
         let folder = tempfile::tempdir().unwrap();

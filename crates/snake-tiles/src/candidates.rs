@@ -1,5 +1,5 @@
-//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start` and `cell`
-//! `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
+//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start`, `rank`,
+//! `covariance` `(N, 3, 3)` and `cell` `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
@@ -37,13 +37,18 @@ pub(crate) fn write(folder: &RunFolder, place: [i32; 2], found: &TileCandidates)
     let of = |value: fn(&Candidate) -> f32| -> Vec<u8> {
         candidates.iter().flat_map(|candidate| value(candidate).to_ne_bytes()).collect()
     };
+    let covariances: Vec<u8> =
+        candidates.iter().flat_map(|c| c.covariance.rows()).flatten().flat_map(f32::to_ne_bytes).collect();
     let (saliency, occupancy, start) = (of(|c| c.saliency), of(|c| c.occupancy), of(|c| c.start));
+    let rank = of(|c| c.rank);
     let number = candidates.len();
     let tensors = [
         ("position", Dtype::F32, vec![number, 3], &positions),
         ("saliency", Dtype::F32, vec![number], &saliency),
         ("occupancy", Dtype::F32, vec![number], &occupancy),
         ("start", Dtype::F32, vec![number], &start),
+        ("rank", Dtype::F32, vec![number], &rank),
+        ("covariance", Dtype::F32, vec![number, 3, 3], &covariances),
         ("cell", Dtype::I32, vec![number, 3], &cells),
     ]
     .map(|(name, dtype, shape, bytes)| TensorView::new(dtype, shape, bytes).map(|view| (name, view)));
@@ -80,10 +85,19 @@ fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {
     let positions: Vec<Point> = bytemuck::pod_collect_to_vec(data("position")?);
     let cells: Vec<[i32; 3]> = bytemuck::pod_collect_to_vec(data("cell")?);
     let of = |name| data(name).map(bytemuck::pod_collect_to_vec::<u8, f32>);
-    let (saliency, occupancy, start) = (of("saliency")?, of("occupancy")?, of("start")?);
-    let scores = saliency.into_iter().zip(occupancy).zip(start);
-    let values = positions.into_iter().zip(cells).zip(scores);
-    let candidate =
-        |((position, cell), ((saliency, occupancy), start))| Candidate { position, saliency, occupancy, start, cell };
-    Ok(values.map(candidate).collect())
+    let covariances: Vec<[[f32; 3]; 3]> = bytemuck::pod_collect_to_vec(data("covariance")?);
+    let [saliency, occupancy, start] = [of("saliency")?, of("occupancy")?, of("start")?];
+    let rank = of("rank")?;
+    let candidate = |i: usize| {
+        Some(Candidate {
+            position: *positions.get(i)?,
+            saliency: *saliency.get(i)?,
+            occupancy: *occupancy.get(i)?,
+            covariance: (*covariances.get(i)?).into(),
+            rank: *rank.get(i)?,
+            start: *start.get(i)?,
+            cell: *cells.get(i)?,
+        })
+    };
+    (0..positions.len()).map(candidate).collect::<Option<_>>().ok_or_else(|| "tensors of different lengths".into())
 }

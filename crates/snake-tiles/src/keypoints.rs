@@ -15,7 +15,9 @@ pub struct TiledKeypoint {
     pub keypoint: Keypoint,
     /// The place of the tile that found it.
     pub tile: [i32; 2],
-    /// Saliency where it started. Keypoints of equal saliency are ranked by it, then by the z, y and x of their cells.
+    /// What keypoints are ranked by, best first, see [`Candidate::rank`].
+    pub rank: f32,
+    /// Saliency where it started. Keypoints of equal rank are ranked by it, then by the z, y and x of their cells.
     pub start: f32,
     /// The voxel where it started, along x, y and z.
     pub cell: [i32; 3],
@@ -35,7 +37,7 @@ pub struct Detected {
 /// The result of a run in tiles.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TiledDetection {
-    /// The keypoints, by falling saliency.
+    /// The keypoints, best first.
     pub keypoints: Vec<TiledKeypoint>,
     /// Number of queries after each step.
     pub counts: Counts,
@@ -95,7 +97,7 @@ impl TiledRun {
         Ok(Detected { summaries, counts, missing })
     }
 
-    /// The keypoints of one tile. Those of all tiles, sorted by falling saliency, then as [`TiledKeypoint::start`] says, are those
+    /// The keypoints of one tile. Those of all tiles, sorted by falling [`TiledKeypoint::rank`], then as [`TiledKeypoint::start`] says, are those
     /// of [`TiledRun::finish`], which also limits their number.
     ///
     /// # Errors
@@ -113,15 +115,16 @@ impl TiledRun {
     /// Keypoints from candidates and the places of their tiles.
     fn with_nearest(&self, kept: Vec<(Candidate, [i32; 2])>, control: &Control) -> Result<Vec<TiledKeypoint>> {
         let least = self.detector.options().detect.min_confidence;
-        let is_good = |candidate: &Candidate| least.is_none() || self.detector.confidence(candidate.saliency) >= least;
+        let is_good = |candidate: &Candidate| least.is_none() || self.detector.confidence(candidate) >= least;
         let kept: Vec<_> = kept.into_iter().filter(|(candidate, _)| is_good(candidate)).collect();
         let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
         let nearest = self.nearest(&positions, control)?;
         let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
-            let Candidate { position, saliency, occupancy, start, cell } = candidate;
-            let confidence = self.detector.confidence(saliency);
-            let keypoint = Keypoint { position, saliency, occupancy, nearest_index: nearest as usize, confidence };
-            TiledKeypoint { keypoint, tile, start, cell }
+            let confidence = self.detector.confidence(&candidate);
+            let Candidate { position, saliency, occupancy, covariance, rank, start, cell, .. } = candidate;
+            let nearest_index = nearest as usize;
+            let keypoint = Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance };
+            TiledKeypoint { keypoint, tile, rank, start, cell }
         };
         Ok(kept.into_iter().zip(nearest).map(keypoint).collect())
     }

@@ -107,8 +107,8 @@ pub(crate) struct Plan {
     pub(crate) versions: Vec<Version>,
     /// Added to all points, see [`snake_geometry::Cloud::origin`].
     pub(crate) origin: [f64; 3],
-    /// The lowest corner of the points, relative to the origin.
-    pub(crate) lowest_corner: Point,
+    /// The lowest and the highest corner of the points, relative to the origin.
+    pub(crate) corners: [Point; 2],
     pub(crate) crs: Option<Crs>,
     /// Points of all files, those that are not finite included.
     pub(crate) num_points: u64,
@@ -125,12 +125,12 @@ impl Plan {
     pub(crate) fn new(source: Source, versions: Vec<Version>, cloud: Extent) -> Self {
         let Extent { bounds, crs, failures, .. } = cloud;
         let origin = bounds.origin();
-        let lowest_corner = subtract_origin(bounds.low, origin);
+        let corners = [bounds.low, bounds.high].map(|corner| subtract_origin(corner, origin));
         Self {
             source,
             versions,
             origin,
-            lowest_corner,
+            corners,
             crs,
             num_points: 0,
             num_skipped: 0,

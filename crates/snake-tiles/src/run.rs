@@ -78,7 +78,7 @@ impl TiledRun {
     /// Marks the folder, and writes the plan once `make` has made what it names. If that fails, all of it goes again.
     pub(crate) fn begun(mut self, make: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         self.folder.mark()?;
-        self.detector.set_lowest_corner(self.plan.lowest_corner);
+        self.detector.set_bounds(self.plan.corners)?;
         let prepare = || {
             make(&mut self)?;
             if self.detector.needs_resolution() {
@@ -99,7 +99,7 @@ impl TiledRun {
 
     /// The run with a detector whose lattice begins where the cloud does, and whose lengths in `r` have their value.
     pub(crate) fn placed(mut self) -> Result<Self> {
-        self.detector.set_lowest_corner(self.plan.lowest_corner);
+        self.detector.set_bounds(self.plan.corners)?;
         self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
         Ok(self)
     }

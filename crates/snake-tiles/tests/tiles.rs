@@ -109,8 +109,8 @@ fn tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cloud()
     let mut keypoints: Vec<_> = opened.tiles().iter().flat_map(tile_keypoints).collect();
     let cell = |found: &TiledKeypoint| [found.cell[2], found.cell[1], found.cell[0]];
     keypoints.sort_by(|a, b| {
-        let by_saliency = b.keypoint.saliency.total_cmp(&a.keypoint.saliency);
-        by_saliency.then(b.start.total_cmp(&a.start)).then_with(|| cell(a).cmp(&cell(b)))
+        let by_rank = b.rank.total_cmp(&a.rank);
+        by_rank.then(b.start.total_cmp(&a.start)).then_with(|| cell(a).cmp(&cell(b)))
     });
     assert!(keypoints.iter().map(|k| &k.keypoint).eq(&whole.keypoints));
     let mut other = options;

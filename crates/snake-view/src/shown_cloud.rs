@@ -32,6 +32,8 @@ pub struct ShownCloud {
     pub saliency: [Vec<f32>; 2],
     /// Its keypoints.
     pub detection: Detection,
+    /// Why its keypoints are few.
+    pub note: Option<String>,
     /// Annotated keypoints to show beside them, relative to the origin.
     pub annotations: Vec<Point>,
 }
@@ -44,11 +46,13 @@ impl ShownCloud {
     pub fn detect(chosen: &Chosen, name: String, control: &Control) -> Result<Self> {
         let field = chosen.encode(control)?;
         let detection = field.detect_with(&chosen.options.detect, control)?;
+        let note = detection.note(chosen.options.detect.max_keypoints);
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;
         let saliency = [field.saliency(&shown)?, field.saliency(&surface.vertices)?];
-        Ok(Self { name, origin: chosen.origin, field, shown, surface, saliency, detection, annotations: Vec::new() })
+        let (origin, annotations) = (chosen.origin, Vec::new());
+        Ok(Self { name, origin, field, shown, surface, saliency, detection, note, annotations })
     }
 
     /// The positions of the keypoints, relative to the origin.
@@ -56,13 +60,9 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A text where points were left out.
+    /// A text where points were left out or keypoints are few.
     pub fn hint(&self) -> Option<String> {
-        self.field
-            .findings()
-            .into_iter()
-            .chain(self.detection.note())
-            .reduce(|first, second| format!("{first}; {second}"))
+        self.field.findings().into_iter().chain(self.note.clone()).reduce(|first, second| format!("{first}; {second}"))
     }
 
     /// A line for the printed report.

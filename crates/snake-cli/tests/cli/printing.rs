@@ -193,7 +193,7 @@ fn the_table_of_a_scene_has_its_confidences() {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let first = text.lines().find(|line| line.starts_with("   1 ")).unwrap();
     let confidence: f32 = first.split_whitespace().nth(5).unwrap().parse().unwrap();
-    assert!((0.21..1.0).contains(&confidence), "{first}");
+    assert!((0.17..1.0).contains(&confidence), "{first}");
     // Words of the network are for those who ask.
     assert!(["queries", "occupied", "scale", "center"].iter().all(|word| !text.contains(word)), "{text}");
 }

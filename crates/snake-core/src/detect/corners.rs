@@ -2,18 +2,34 @@
 
 use rayon::prelude::*;
 
+use super::localize::Place;
 use crate::Result;
+use crate::field::Field;
 use snake_geometry::{Point, RadiusCells};
 
 /// The radius of the neighbourhood in voxels. Of 1.6, 2.4 and 3.2 the last found most landmarks of made shapes.
-pub(super) const RADIUS: f32 = 3.0;
+const RADIUS: f32 = 3.0;
+
+/// Corners count up to this share of a corner ...
+const CORNER: f32 = 0.15;
+
+/// ... and this many times as much as the saliency.
+const WEIGHT: f32 = 3.0;
+
+/// The ranks of places as corners, ends and tips.
+pub(super) fn ranks(field: &Field, places: &[Place], scores: &[f32]) -> Result<Vec<f32>> {
+    let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
+    let offsets = offsets(field.points(), &positions, RADIUS * field.voxel_size())?;
+    let rank = |((score, place), offset): ((&f32, &Place), f32)| score + offset + WEIGHT * place.corner.min(CORNER);
+    Ok(scores.iter().zip(places).zip(offsets).map(rank).collect())
+}
 
 /// The distance of each position from the mean of the points within `radius`, as a share of it: 0 in the middle of a plane, and
 /// the more the less surface there is on the other side.
 ///
 /// # Errors
 /// [`crate::Error::Input`] when a coordinate is not finite.
-pub(super) fn offsets(points: &[Point], positions: &[Point], radius: f32) -> Result<Vec<f32>> {
+fn offsets(points: &[Point], positions: &[Point], radius: f32) -> Result<Vec<f32>> {
     let cells = RadiusCells::new(points, radius)?;
     let offset = |position: &Point| {
         let (mut sum, mut count) = ([0.0; 3], 0);

@@ -8,7 +8,7 @@ use snake_geometry::{Keypoint, Normalization};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Detection {
-    /// The keypoints, by falling saliency.
+    /// The keypoints, best first: by saliency, in scenes also by how well the points determine them; or corners first.
     pub keypoints: Vec<Keypoint>,
     /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
     pub num_skipped: usize,
@@ -26,15 +26,23 @@ pub struct Detection {
     pub timing: Timing,
 }
 
+/// Fewer keypoints hardly register two clouds, and are explained.
+const FEW: usize = 8;
+
 impl Detection {
-    /// Why there are no keypoints, in a sentence for a user.
-    pub fn note(&self) -> Option<String> {
+    /// Why there are fewer than eight keypoints though `max_keypoints` were allowed, and what gives more, in a sentence for a user.
+    pub fn note(&self, max_keypoints: usize) -> Option<String> {
         let text = match self.counts {
-            Counts { occupied: 0, .. } => "no keypoints: a lower `occupancy_threshold`, such as 0.3, may find some",
-            Counts { above_threshold: 0, .. } => "no keypoints: a lower `saliency_threshold` may find some",
-            _ => "no keypoint is found again more often than chance, as on a flat wall: `min_confidence` 0 gives all",
+            Counts { occupied: 0, .. } => "a lower `occupancy_threshold`, such as 0.3, may find some",
+            Counts { above_threshold: 0, .. } => "a lower `saliency_threshold` may find some",
+            _ => "few places are found again more often than chance, as on a flat wall: `min_confidence` 0 gives all",
         };
-        self.keypoints.is_empty().then(|| text.into())
+        let number = match self.keypoints.len() {
+            0 => "no keypoints".into(),
+            1 => "one keypoint".into(),
+            number => format!("{number} keypoints"),
+        };
+        (self.keypoints.len() < max_keypoints.min(FEW)).then(|| format!("{number}: {text}"))
     }
 }
 

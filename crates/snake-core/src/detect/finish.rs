@@ -1,12 +1,14 @@
-//! From candidates to keypoints: modes, suppression, nearest points, confidence.
+//! From candidates to keypoints: modes, places, suppression, nearest points, confidence.
 
-use super::modes::seek_modes;
+use super::localize::{Place, localize};
+use super::modes::{Modes, seek_modes};
+use super::surface::on_surface;
 use super::{Candidates, Detection, corners};
 use crate::Result;
 use crate::control::clock::Instant;
 use crate::field::Field;
 use crate::options::{DetectOptions, Preference, Radii};
-use snake_geometry::{Keypoint, nearest_points, suppress};
+use snake_geometry::{Keypoint, Point, nearest_points, suppress};
 
 /// The last steps of a detection.
 pub(super) fn finish(
@@ -16,32 +18,49 @@ pub(super) fn finish(
     options: &DetectOptions,
 ) -> Result<Detection> {
     let start = Instant::now();
-    let Candidates { mut positions, mut scores, mut counts, mut timing } = candidates;
-    if let Some(radius) = radii.mode {
-        let modes = seek_modes(&positions, &scores, radius, options.max_keypoints)?;
-        (positions, scores) = (modes.positions, modes.scores);
+    let Candidates { positions, scores, mut counts, mut timing } = candidates;
+    let modes = match radii.mode {
+        Some(radius) => seek_modes(&positions, &scores, [radius, radii.starts], options.max_keypoints)?,
+        None => Modes { positions, scores },
+    };
+    let moves_to_planes = field.lattice().is_scene() || options.prefer == Preference::Corners;
+    let moves_to_surface = radii.mode.is_some() && !moves_to_planes;
+    let (Modes { positions, scores }, surface_ranks) =
+        if moves_to_surface { on_surface(field, modes, radii.nms)? } else { (modes, Vec::new()) };
+    let places = match radii.mode {
+        Some(_) if moves_to_planes => localize(field, &positions)?,
+        _ => positions.into_iter().map(Place::unknown).collect(),
+    };
+    let ranks = match options.prefer {
+        Preference::Corners => corners::ranks(field, &places, &scores)?,
+        Preference::Salient if moves_to_surface => surface_ranks,
+        Preference::Salient => scores.iter().zip(&places).map(|(&score, place)| place.rank(score)).collect(),
+    };
+    let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
+    let mut kept = suppress(&positions, &ranks, radii.nms, options.max_keypoints)?;
+    if moves_to_surface {
+        kept.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
+    }
+    let (mut places, scores) = (selected(&places, &kept), selected(&scores, &kept));
+    if moves_to_surface {
+        let determined = localize(field, &selected(&positions, &kept))?;
+        places.iter_mut().zip(determined).for_each(|(place, at)| place.covariance = at.covariance);
     }
     let points = field.finite_points();
-    let kept = match options.prefer {
-        Preference::Salient => suppress(&positions, &scores, radii.nms, options.max_keypoints)?,
-        Preference::Corners => {
-            let offsets = corners::offsets(&points.points, &positions, corners::RADIUS * field.voxel_size())?;
-            let ranks: Vec<f32> = scores.iter().zip(offsets).map(|(score, offset)| score + offset).collect();
-            suppress(&positions, &ranks, radii.nms, options.max_keypoints)?
-        }
-    };
-    (positions, scores) = (selected(&positions, &kept), selected(&scores, &kept));
+    let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
     let nearest = nearest_points(&points.points, &positions)?;
     if options.snap {
-        positions = selected(&points.points, &nearest);
+        places.iter_mut().zip(&nearest).for_each(|(place, &nearest)| place.position = points.points[nearest]);
     }
+    let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
     let occupancy = field.occupancy(&positions)?;
     let keypoint = |rank: usize| Keypoint {
         position: positions[rank],
         saliency: scores[rank],
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
-        confidence: field.network().confidence(scores[rank]),
+        confidence: field.network().confidence(scores[rank], &places[rank].covariance, field.voxel_size()),
+        covariance: places[rank].covariance,
     };
     let is_kept = |keypoint: &Keypoint| options.min_confidence.is_none_or(|min| keypoint.confidence >= Some(min));
     let keypoints: Vec<Keypoint> = (0..positions.len()).map(keypoint).filter(is_kept).collect();

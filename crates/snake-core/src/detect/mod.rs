@@ -3,9 +3,11 @@
 mod corners;
 mod detection;
 mod finish;
+pub(crate) mod localize;
 mod modes;
 pub(crate) mod occupied;
 pub(crate) mod refine;
+mod surface;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tiles;
@@ -55,12 +57,21 @@ impl Field {
 
     /// [`Field::detect_with`] with options that are valid for the network.
     pub(crate) fn detect_in(&self, options: &DetectOptions, control: &Control) -> Result<Detection> {
-        let radii = options.radii(self.points(), self.voxel_size())?;
+        let diagonal = self.lattice().is_scene().then(|| diagonal(self.points()));
+        let radii = options.radii(self.points(), self.voxel_size(), diagonal)?;
         let queries = self.queries(options);
         let candidates = candidates(self, &queries, options, control)?;
         control.begin("suppression", 0).check()?;
         finish(self, candidates, radii, options)
     }
+}
+
+/// The diagonal of the box of some points.
+fn diagonal(points: &[Point]) -> f32 {
+    let [low, high] = [f32::min, f32::max].map(|end: fn(f32, f32) -> f32| {
+        points.iter().copied().reduce(|a, b| std::array::from_fn(|axis| end(a[axis], b[axis]))).unwrap_or_default()
+    });
+    (0..3).map(|axis| (high[axis] - low[axis]).powi(2)).sum::<f32>().sqrt()
 }
 
 /// The candidates that come of some queries. Tiles begin here too, with those queries that are theirs.

@@ -29,7 +29,7 @@ pub(crate) struct Modes {
     pub(crate) scores: Vec<f32>,
 }
 
-/// Moves the most salient candidates, at least half of `radius` apart, to modes by mean shift (Comaniciu and Meer 2002):
+/// Moves the most salient candidates, at least `apart` from each other, to modes by mean shift (Comaniciu and Meer 2002):
 /// three times to the mean of the candidates within `radius`, weighted by a power of their saliency. From step to step the
 /// radius falls and the power rises.
 ///
@@ -38,16 +38,21 @@ pub(crate) struct Modes {
 ///
 /// # Errors
 /// [`crate::Error::Input`] when a position is not finite.
-pub(crate) fn seek_modes(positions: &[Point], scores: &[f32], radius: f32, max_keypoints: usize) -> Result<Modes> {
-    let cells = RadiusCells::new(positions, radius)?;
-    let (positions, scores) = shift(&cells, scores, &starts(&cells, scores, max_keypoints));
+pub(crate) fn seek_modes(
+    positions: &[Point],
+    scores: &[f32],
+    [radius, apart]: [f32; 2],
+    max_keypoints: usize,
+) -> Result<Modes> {
+    let starts = starts(&RadiusCells::new(positions, apart)?, scores, max_keypoints);
+    let (positions, scores) = modes_of(positions, scores, radius, &starts)?;
     Ok(Modes { positions, scores })
 }
 
 /// The indices of the candidates that are moved, by falling saliency.
 fn starts(cells: &RadiusCells, scores: &[f32], max_keypoints: usize) -> Vec<usize> {
     let max_number = STARTS.saturating_mul(max_keypoints.max(64));
-    keep_in_order(cells, &by_falling_score(scores), cells.radius() / 2.0, max_number)
+    keep_in_order(cells, &by_falling_score(scores), cells.radius(), max_number)
 }
 
 /// The modes of some candidates with their scores, see [`seek_modes`].
@@ -77,7 +82,7 @@ fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Vec<Point>, 
 }
 
 /// The mean of the candidates within `radius` of a position; the position itself if there is none.
-fn weighted_mean(cells: &RadiusCells, weights: &[f32], at: Point, radius: f32) -> Point {
+pub(super) fn weighted_mean(cells: &RadiusCells, weights: &[f32], at: Point, radius: f32) -> Point {
     let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
     cells.within(&at, radius, |index| {
         let weight = f64::from(weights[index]);
@@ -118,8 +123,8 @@ mod tests {
     #[test]
     fn modes_are_those_of_the_plain_mean_shift() {
         let (positions, scores) = candidates();
-        let modes = seek_modes(&positions, &scores, 0.3, 100).unwrap();
-        let starts = starts(&RadiusCells::new(&positions, 0.3).unwrap(), &scores, 100);
+        let modes = seek_modes(&positions, &scores, [0.3, 0.15], 100).unwrap();
+        let starts = starts(&RadiusCells::new(&positions, 0.15).unwrap(), &scores, 100);
         assert!(starts.len() > 10 && starts.is_sorted_by(|&a, &b| scores[a] >= scores[b]));
         assert_eq!(starts.len(), modes.positions.len());
         for (i, &start) in starts.iter().enumerate() {
@@ -137,14 +142,14 @@ mod tests {
         let positions: Vec<Point> = (0..4096).map(|i| [grid(i % 16), grid(i / 16 % 16), grid(i / 256)]).collect();
         let squared = |p: &Point| (0..3).map(|axis| (p[axis] - center[axis]).powi(2)).sum::<f32>();
         let scores: Vec<f32> = positions.iter().map(|p| (-squared(p) / (2.0 * 0.05_f32.powi(2))).exp()).collect();
-        let modes = seek_modes(&positions, &scores, 0.06, 100).unwrap();
+        let modes = seek_modes(&positions, &scores, [0.06, 0.03], 100).unwrap();
         assert!(squared(&modes.positions[0]).sqrt() < 0.005, "{:?}", modes.positions[0]);
     }
 
     #[test]
     fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
         let modes = |positions: &[Point], scores: &[f32]| {
-            let Modes { positions, scores } = seek_modes(positions, scores, 0.1, 9).unwrap();
+            let Modes { positions, scores } = seek_modes(positions, scores, [0.1, 0.05], 9).unwrap();
             (positions, scores)
         };
         assert_eq!(modes(&[], &[]), (vec![], vec![]));

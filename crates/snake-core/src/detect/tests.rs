@@ -1,6 +1,7 @@
 //! Detection as a whole.
 
-use super::corners::{RADIUS, offsets};
+use super::corners::ranks;
+use super::localize::Place;
 use super::*;
 use crate::{Builtin, EncodeOptions, Model, Preference};
 use snake_geometry::{
@@ -29,7 +30,7 @@ fn detections_read_back_from_json() {
     assert_eq!(serde_json::from_str::<Detection>(&text).unwrap(), detection);
     let value: serde_json::Value = serde_json::from_str(&text).unwrap();
     let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
-    assert_eq!(keys, ["confidence", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
+    assert_eq!(keys, ["confidence", "covariance", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
     assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
 }
 
@@ -94,14 +95,13 @@ fn corners_come_first_where_they_are_preferred() {
         DetectOptions { nms_radius: Some(0.2.into()), refine_steps: 0, saliency_threshold: 0.0, ..Default::default() };
     let preferring = |prefer| field.detect(&options.with_prefer(prefer)).unwrap().keypoints;
     let corners = preferring(Preference::Corners);
-    let positions: Vec<_> = corners.iter().map(|keypoint| keypoint.position).collect();
-    let offsets = offsets(&points, &positions, RADIUS * field.voxel_size()).unwrap();
-    let ranks: Vec<f32> = corners.iter().zip(offsets).map(|(keypoint, offset)| keypoint.saliency + offset).collect();
+    let places: Vec<Place> = corners.iter().map(|keypoint| Place::unknown(keypoint.position)).collect();
+    let ranks = ranks(&field, &places, &corners.iter().map(|k| k.saliency).collect::<Vec<_>>()).unwrap();
     assert!(corners.len() > 5 && ranks.is_sorted_by(|a, b| a >= b), "{ranks:?}");
     assert_ne!(corners, preferring(Preference::Salient));
     let of = |prefer, radius: f64| {
         let options = options.with_prefer(prefer).with_mode_radius(Some(radius.into()));
-        options.radii(&points, field.voxel_size()).unwrap().mode
+        options.radii(&points, field.voxel_size(), None).unwrap().mode
     };
     assert_eq!(of(Preference::Corners, 0.4), of(Preference::Salient, 0.2));
 }

@@ -128,6 +128,11 @@ impl Lattice {
         }
     }
 
+    /// Whether the volume follows a scene.
+    pub(crate) fn is_scene(&self) -> bool {
+        matches!(self, Self::Blocks(..))
+    }
+
     /// The mean of the points of each cell of a scene; a cube has none.
     pub(crate) fn cell_means(&self) -> &[Point] {
         match self {

@@ -1,38 +1,72 @@
-//! The map from a keypoint's score to the probability that another view finds it again, from the weight file's metadata.
+//! The map from what is known of a keypoint to the probability that another view finds it again, from the weight file's metadata.
+
+use serde::Deserialize;
 
 use crate::Result;
 use crate::network::weights::{self, Weights};
+use snake_geometry::Covariance;
 
 /// Knots, at most.
 const MAX_KNOTS: usize = 64;
 
-/// A piecewise linear, non-decreasing map from scores to probabilities, fitted by `snake_training.confidence`.
-#[derive(Debug, Clone)]
+/// Smaller and larger standard deviations count as these, in voxels.
+const DEVIATIONS: [f32; 2] = [0.06, 0.6];
+
+/// A piecewise linear, non-decreasing map from evidence to probabilities, fitted by `snake_training.confidence`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(from = "Map")]
 pub(crate) struct ConfidenceMap {
-    /// Score and probability, by rising score.
+    /// Evidence and probability, by rising evidence.
     knots: Vec<[f32; 2]>,
+    /// What each halving of the largest standard deviation adds to the score.
+    precision: f32,
+}
+
+/// [`ConfidenceMap`] in a file.
+#[derive(Deserialize)]
+#[serde(untagged, deny_unknown_fields)]
+enum Map {
+    /// Of scores alone.
+    Scores(Vec<[f32; 2]>),
+    /// Of scores and standard deviations.
+    Evidence { knots: Vec<[f32; 2]>, precision: f32 },
+}
+
+impl From<Map> for ConfidenceMap {
+    fn from(map: Map) -> Self {
+        match map {
+            Map::Scores(knots) => Self { knots, precision: 0.0 },
+            Map::Evidence { knots, precision } => Self { knots, precision },
+        }
+    }
 }
 
 impl ConfidenceMap {
-    /// The metadata key `confidence`, `[[score, probability], ..]` as JSON; `None` where the file has none.
+    /// The metadata key `confidence` as JSON: `[[score, probability], ..]`, or `{"knots": .., "precision": ..}` if the standard
+    /// deviation counts too; `None` where the file has none.
     pub(crate) fn from_weights(file: &Weights) -> Result<Option<Self>> {
         let Some(json) = file.metadata.get("confidence") else { return Ok(None) };
         let refused = |found: String| {
             let expected = "2 to 64 pairs [score, probability], scores rising, probabilities in 0 to 1 and not falling";
             weights::error("confidence", expected, found)
         };
-        let knots: Vec<[f32; 2]> = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
-        let is_map = (2..=MAX_KNOTS).contains(&knots.len())
-            && knots.iter().all(|[score, probability]| score.is_finite() && (0.0..=1.0).contains(probability))
-            && knots.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1]);
-        if is_map { Ok(Some(Self { knots })) } else { Err(refused(json.clone())) }
+        let map: Self = serde_json::from_str(json).map_err(|error| refused(error.to_string()))?;
+        let is_map = (2..=MAX_KNOTS).contains(&map.knots.len())
+            && map.knots.iter().all(|[score, probability]| score.is_finite() && (0.0..=1.0).contains(probability))
+            && map.knots.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1])
+            && map.precision.is_finite();
+        if is_map { Ok(Some(map)) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability of a score: linear between knots, that of the first or the last knot beyond them.
-    pub(crate) fn at(&self, score: f32) -> f32 {
-        let next = self.knots.partition_point(|knot| knot[0] <= score);
+    /// The probability of a keypoint's score and covariance in a volume of this voxel size: linear between knots, that of the first
+    /// or the last knot beyond them.
+    pub(crate) fn at(&self, score: f32, covariance: &Covariance, voxel_size: f32) -> f32 {
+        let [low, high] = DEVIATIONS;
+        let deviation = (covariance.deviation() / voxel_size).clamp(low, high);
+        let evidence = score + self.precision * (high / deviation).log2();
+        let next = self.knots.partition_point(|knot| knot[0] <= evidence);
         match (next.checked_sub(1).map(|last| self.knots[last]), self.knots.get(next)) {
-            (Some([low, from]), Some([high, to])) => from + (to - from) * ((score - low) / (high - low)),
+            (Some([low, from]), Some([high, to])) => from + (to - from) * ((evidence - low) / (high - low)),
             (Some([_, last]), None) => last,
             (None, Some([_, first])) => *first,
             (None, None) => 0.0,
@@ -44,6 +78,7 @@ impl ConfidenceMap {
 mod tests {
     use crate::{Builtin, Error, Model};
     use safetensors::SafeTensors;
+    use snake_geometry::Covariance;
 
     /// The model `compact` with another map; `None` is none.
     fn model(map: Option<&str>) -> crate::Result<Model> {
@@ -66,7 +101,23 @@ mod tests {
         let model = model(Some("[[0.25, 0.5], [0.5, 0.5], [0.75, 1.0]]")).unwrap();
         let map = model.network().confidence.as_ref().unwrap();
         let scores = [-1.0, 0.0, 0.25, 0.4, 0.5, 0.625, 0.75, 0.9, f32::INFINITY];
-        assert_eq!(scores.map(|score| map.at(score)), [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]);
+        assert_eq!(
+            scores.map(|score| map.at(score, &Covariance::UNKNOWN, 1.0)),
+            [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]
+        );
+    }
+
+    #[test]
+    fn each_halving_of_the_deviation_counts_like_so_much_score() {
+        let model = model(Some(r#"{"knots": [[0.0, 0.0], [2.0, 1.0]], "precision": 0.5}"#)).unwrap();
+        let map = model.network().confidence.as_ref().unwrap();
+        let of =
+            |deviation: f64| Covariance::from_information(&(nalgebra::Matrix3::identity() * deviation.powi(-2)), 0.0);
+        for (score, deviation, evidence) in [(0.5, 0.6, 0.5), (0.5, 0.3, 1.0), (0.5, 0.15, 1.5), (0.25, 9.0, 0.25)] {
+            assert!((map.at(score, &of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
+        }
+        assert_eq!(map.at(0.5, &Covariance::UNKNOWN, 0.2), 0.25);
+        assert_eq!(map.at(0.5, &of(1e-9), 0.2), map.at(0.5, &of(0.012), 0.2));
     }
 
     #[test]
@@ -86,6 +137,9 @@ mod tests {
             "[[0.1, null], [0.2, 1]]",
             "[[1e99, 0.5], [2e99, 0.6]]",
             &many,
+            r#"{"knots": [[0.1, 0.5], [0.2, 0.6]]}"#,
+            r#"{"knots": [[0.1, 0.5], [0.2, 0.6]], "precision": 1e99}"#,
+            r#"{"knots": [[0.1, 0.5], [0.2, 0.6]], "precision": 1, "other": 1}"#,
         ] {
             let error = model(Some(broken)).unwrap_err();
             assert!(matches!(&error, Error::Weights { tensor, .. } if tensor == "confidence"), "{broken}: {error}");

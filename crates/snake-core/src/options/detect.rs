@@ -86,13 +86,14 @@ options! {
         /// Radius within which keypoints move to the mean of the candidates before suppression, which is more precise than the
         /// best single query.
         ///
-        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it.
+        /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it. Keypoints of scenes,
+        /// and corners, then move to the point nearest to the planes around them; those of objects onto the surface.
         #[serde(deserialize_with = "none_if_zero")]
         mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
             from 0 or more " (cloud units, or as in `3r` resolutions)";
         /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
-        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`). Of those that are closer the
-        /// best is kept.
+        /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`; in a scene at most a 32nd of the
+        /// diagonal of its box). Of those that are closer the best is kept.
         #[serde(deserialize_with = "none_if_zero")]
         nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
@@ -111,23 +112,23 @@ options! {
 }
 
 impl DetectOptions {
-    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size.
-    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32) -> Result<Radii> {
+    /// The radii of suppression and of mode seeking in cloud units, of a cloud in voxels of this size. `diagonal` is that of a
+    /// scene's box; objects have none.
+    pub(crate) fn radii(&self, points: &[Point], voxel_size: f32, diagonal: Option<f32>) -> Result<Radii> {
         let units = |name, length: Length| match length {
             Length::Units(radius) => Ok(radius as f32),
             Length::Voxels(number) => Ok(number as f32 * voxel_size),
             multiple => multiple.in_units(name, points).map(|radius| radius as f32),
         };
         let width = if self.prefer == Preference::Corners { 0.5 } else { 1.0 };
-        Ok(Radii {
-            nms: self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?,
-            mode: self
-                .mode_radius
-                .map(|length| units("mode_radius", length))
-                .transpose()?
-                .map(|radius| radius * width)
-                .filter(|radius| *radius > 0.0),
-        })
+        let mut nms = self.nms_radius.map_or(Ok(0.0), |length| units("nms_radius", length))?;
+        if let (Some(diagonal), Some(Length::Voxels(_))) = (diagonal, self.nms_radius) {
+            nms = nms.min(diagonal * MAX_SHARE_OF_SCENE);
+        }
+        let mode = self.mode_radius.map(|length| units("mode_radius", length)).transpose()?;
+        let mode = mode.map(|radius| radius * width).filter(|radius| *radius > 0.0);
+        let starts_in_voxels = diagonal.map_or(0.0, |_| SCENE_STARTS * voxel_size);
+        Ok(Radii { nms, mode, starts: mode.map_or(0.0, |radius| starts_in_voxels.max(radius / 2.0)) })
     }
 }
 
@@ -137,7 +138,16 @@ pub(crate) struct Radii {
     /// 0 for no suppression.
     pub(crate) nms: f32,
     pub(crate) mode: Option<f32>,
+    /// The least distance of the candidates that move to modes.
+    pub(crate) starts: f32,
 }
+
+/// Keypoints whose distance is in voxels need not lie farther apart than this share of the diagonal of their scene: sparse points
+/// have large voxels, and the scene has the same corners.
+const MAX_SHARE_OF_SCENE: f32 = 1.0 / 32.0;
+
+/// Candidates of a scene that move to modes lie at least this many voxels apart.
+const SCENE_STARTS: f32 = 2.0;
 
 /// A number, or the largest for null.
 fn most_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> std::result::Result<usize, D::Error> {

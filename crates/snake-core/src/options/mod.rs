@@ -59,7 +59,7 @@ mod tests {
             assert!(with(Some(Length::Units(wrong))).unwrap_err().to_string().contains("mode_radius"), "{wrong}");
         }
         let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
-        assert!(off.check_ranges().is_ok() && off.radii(&[], 1.0).unwrap().mode.is_none());
+        assert!(off.check_ranges().is_ok() && off.radii(&[], 1.0, None).unwrap().mode.is_none());
     }
 
     #[test]

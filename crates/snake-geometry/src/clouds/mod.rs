@@ -1,6 +1,7 @@
 //! Points in the units of their cloud, and what is found on it.
 
 mod cloud;
+mod covariance;
 mod dense_core;
 mod housing;
 mod keypoint;
@@ -12,6 +13,7 @@ mod points;
 mod sensor;
 
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
+pub use covariance::Covariance;
 pub use keypoint::Keypoint;
 pub use length::{Length, gaps, resolution};
 pub use mesh::{Mesh, unit};

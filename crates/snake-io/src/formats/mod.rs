@@ -218,7 +218,8 @@ pub enum KeypointFormat {
     Ply,
     /// Binary PCD points with the same fields.
     Pcd,
-    /// An array `(K, 7)` of `<f8`: x, y, z, saliency, occupancy, nearest_index, confidence, which is not a number where it is not known.
+    /// An array `(K, 8)` of `<f8`: x, y, z, saliency, occupancy, nearest_index, confidence, which is not a number where it is not known, and
+    /// deviation, the largest standard deviation of the position, which is infinite where the points leave a direction open.
     Npy,
     /// The same columns as text.
     Csv,

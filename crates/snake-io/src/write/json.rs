@@ -7,7 +7,8 @@ use serde_json::{Number, Value, json};
 use crate::write::keypoint_source::KeypointSource;
 use snake_geometry::{Keypoint, add_origin};
 
-/// One keypoint as an object with the keys x, y, z, saliency, occupancy, nearest_index and confidence, which is `null` without a map.
+/// One keypoint as an object with the keys x, y, z, saliency, occupancy, nearest_index, confidence, which is `null` without a map,
+/// and covariance.
 ///
 /// The origin is added to the position. A number that is not finite is written as `null`.
 pub fn keypoint_json(keypoint: &Keypoint, origin: [f64; 3]) -> Value {
@@ -20,6 +21,7 @@ pub fn keypoint_json(keypoint: &Keypoint, origin: [f64; 3]) -> Value {
         "occupancy": number(keypoint.occupancy),
         "nearest_index": keypoint.nearest_index,
         "confidence": keypoint.confidence.and_then(number),
+        "covariance": keypoint.covariance.rows().map(|row| row.map(number)),
     })
 }
 

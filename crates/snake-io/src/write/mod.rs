@@ -29,7 +29,7 @@ impl KeypointFormat {
             _ => (Some(source.origin), &[][..]),
         };
         let row = |keypoint: &Keypoint| {
-            let &Keypoint { position, saliency, occupancy, nearest_index, confidence } = keypoint;
+            let &Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance } = keypoint;
             let mut row = with_origin(position, origin).to_vec();
             row.extend(color_values(colors, color(saliency)));
             row.extend([
@@ -37,6 +37,7 @@ impl KeypointFormat {
                 occupancy.into(),
                 nearest_index as f64,
                 confidence.unwrap_or(f32::NAN).into(),
+                covariance.deviation().into(),
             ]);
             row
         };
@@ -98,11 +99,12 @@ impl CloudFormat {
 }
 
 /// The columns of a keypoint after its position and colour.
-const VALUES: [Column; 4] = [
+const VALUES: [Column; 5] = [
     ("saliency", Scalar::FLOAT),
     ("occupancy", Scalar::FLOAT),
     ("nearest_index", Scalar::INT),
     ("confidence", Scalar::FLOAT),
+    ("deviation", Scalar::FLOAT),
 ];
 const COLORS: [Column; 3] = [("red", Scalar::BYTE), ("green", Scalar::BYTE), ("blue", Scalar::BYTE)];
 /// A colour in the bits of a float.
@@ -211,19 +213,19 @@ mod tests {
     #[test]
     fn text_is_short_and_exact() {
         let text = String::from_utf8(written(KeypointFormat::Csv, [0.0; 3])).unwrap();
-        let expected = "x,y,z,saliency,occupancy,nearest_index,confidence\n0.1,-2.5,0.0000003,0.75,0.5,7,0.5\n4,5,10000000,0.3,1,16777217,0.25\n";
+        let expected = "x,y,z,saliency,occupancy,nearest_index,confidence,deviation\n0.1,-2.5,0.0000003,0.75,0.5,7,0.5,inf\n4,5,10000000,0.3,1,16777217,0.25,inf\n";
         assert_eq!(text, expected);
         let far = String::from_utf8(written(KeypointFormat::Csv, [5e6, 0.0, 0.0])).unwrap();
-        assert!(far.contains("\n5000004,5,10000000,0.3,1,16777217,0.25\n") && far.contains("\n5000000.1"), "{far}");
+        assert!(far.contains("\n5000004,5,10000000,0.3,1,16777217,0.25,inf\n") && far.contains("\n5000000.1"), "{far}");
     }
 
     #[test]
     fn arrays_are_exact_and_aligned() {
         let bytes = written(KeypointFormat::Npy, [0.0; 3]);
-        let data = &bytes[bytes.len() - 112..];
+        let data = &bytes[bytes.len() - 128..];
         assert_eq!((bytes.len() - data.len()) % 64, 0);
         assert_eq!(data[..8], f64::from(0.1_f32).to_le_bytes());
-        assert_eq!(data[96..104], 16_777_217_f64.to_le_bytes());
+        assert_eq!(data[104..112], 16_777_217_f64.to_le_bytes());
     }
 
     #[test]
@@ -237,12 +239,12 @@ mod tests {
         let text = String::from_utf8_lossy(&bytes);
         assert!(
             text.contains(
-                "FIELDS x y z rgb saliency occupancy nearest_index confidence\nSIZE 4 4 4 4 4 4 4 4\nTYPE F F F F F F I F\n"
+                "FIELDS x y z rgb saliency occupancy nearest_index confidence deviation\nSIZE 4 4 4 4 4 4 4 4 4\nTYPE F F F F F F I F F\n"
             ),
             "{text}"
         );
         // In little-endian order blue comes first.
-        assert_eq!(bytes[bytes.len() - 64..][12..16], [98, 201, 94, 0]);
+        assert_eq!(bytes[bytes.len() - 72..][12..16], [98, 201, 94, 0]);
     }
 
     #[test]

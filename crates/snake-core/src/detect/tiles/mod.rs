@@ -18,8 +18,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::localize::{Place, localize};
 use super::modes::{SHIFT, modes_of};
-use super::{Candidates, Counts, candidates};
+use super::{Candidates, Counts, candidates, diagonal};
 use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::field::{Field, check_number_of_points};
@@ -27,13 +28,13 @@ use crate::lattice::{Queries, from_corner, voxel_size};
 use crate::network::Network;
 use crate::options::{DetectOptions, Options, Preference, Radii};
 use crate::{Error, Result};
-use snake_geometry::{Fate, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
+use snake_geometry::{Covariance, Fate, Length, Normalization, Point, by_falling_score, check_points, suppress_seen};
 use snake_kernels::BLOCK_SIDE;
 
 /// The number of columns around a tile whose points its voxels depend on.
 ///
 /// The receptive field is 79 voxels in each direction, counting blocks that exist only because a neighbour has points. That is
-/// less than five blocks of the coarsest level.
+/// less than five blocks of the coarsest level. The planes that localize a keypoint are nearer.
 const HALO: i32 = 5;
 
 /// A scene model with options for the tiles of a cloud. All points are relative to the origin of the whole cloud.
@@ -43,8 +44,10 @@ pub struct TileDetector {
     options: Options,
     /// 0 before [`TileDetector::choose_voxel_size`].
     voxel_size: f32,
-    /// The origin before [`TileDetector::set_lowest_corner`].
+    /// The origin before [`TileDetector::set_bounds`].
     lowest_corner: Point,
+    /// Infinite before [`TileDetector::set_bounds`].
+    diagonal: f32,
     /// Lengths in `r` are 0 before [`TileDetector::set_resolution`].
     radii: Radii,
 }
@@ -73,8 +76,9 @@ impl TileDetector {
                 return Err(Error::Option { name: "voxel_size", value: other.to_string(), allowed });
             }
         };
-        let radii = Radii { nms: 0.0, mode: None };
-        let mut detector = Self { network, options: *options, voxel_size, lowest_corner: [0.0; 3], radii };
+        let radii = Radii { nms: 0.0, mode: None, starts: 0.0 };
+        let (lowest_corner, diagonal) = ([0.0; 3], f32::INFINITY);
+        let mut detector = Self { network, options: *options, voxel_size, lowest_corner, diagonal, radii };
         detector.radii = detector.radii_of(0.0)?;
         Ok(detector)
     }
@@ -95,10 +99,15 @@ impl TileDetector {
         Ok(())
     }
 
-    /// Sets the lowest coordinate of the finite points of the whole cloud along each axis. The lattice begins there, and with it
-    /// the columns.
-    pub fn set_lowest_corner(&mut self, corner: Point) {
-        self.lowest_corner = corner;
+    /// Sets the lowest and the highest coordinate of the finite points of the whole cloud along each axis. The lattice begins at
+    /// the lowest corner, and with it the columns. The voxel size comes before, the resolution after.
+    ///
+    /// # Errors
+    /// [`Error::Option`] for a length out of its range.
+    pub fn set_bounds(&mut self, [low, high]: [Point; 2]) -> Result<()> {
+        (self.lowest_corner, self.diagonal) = (low, diagonal(&[low, high]));
+        self.radii = self.radii_of(0.0)?;
+        Ok(())
     }
 
     /// The lowest x and y of a column.
@@ -130,7 +139,7 @@ impl TileDetector {
                 *length = (resolution > 0.0).then(known).transpose()?;
             }
         }
-        detect.radii(&[], self.voxel_size)
+        detect.radii(&[], self.voxel_size, Some(self.diagonal))
     }
 
     /// The model and the options, which decide the candidates of a tile together with the cloud.
@@ -143,9 +152,9 @@ impl TileDetector {
         &self.options
     }
 
-    /// The confidence of a keypoint of this score, see [`Keypoint::confidence`](crate::Keypoint::confidence).
-    pub fn confidence(&self, saliency: f32) -> Option<f32> {
-        self.network.confidence(saliency)
+    /// The confidence of a keypoint, see [`Keypoint::confidence`](crate::Keypoint::confidence).
+    pub fn confidence(&self, candidate: &Candidate) -> Option<f32> {
+        self.network.confidence(candidate.saliency, &candidate.covariance, self.voxel_size)
     }
 
     /// The radius of suppression in cloud units; 0 for no suppression.
@@ -239,7 +248,8 @@ impl TileDetector {
                 candidates(&field, &queries, &self.options.detect, control)?;
             let candidate = |(&position, &saliency)| {
                 let cell = self.voxel(&position)?;
-                Ok(Candidate { position, saliency, occupancy: 0.0, start: saliency, cell })
+                let (covariance, rank, start) = (Covariance::UNKNOWN, saliency, saliency);
+                Ok(Candidate { position, saliency, occupancy: 0.0, covariance, rank, start, cell })
             };
             Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
         };
@@ -250,7 +260,13 @@ impl TileDetector {
             let Some(modes) = self.modes(&candidates, radius, tile, (!is_whole).then_some(&near))? else {
                 return Ok(None);
             };
-            candidates = modes;
+            let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
+            let places = localize(&field, &positions)?;
+            let localized = |(candidate, place): (Candidate, Place)| {
+                let rank = place.rank(candidate.saliency);
+                Candidate { position: place.position, covariance: place.covariance, rank, ..candidate }
+            };
+            candidates = modes.into_iter().zip(places).map(localized).collect();
         }
         let positions: Vec<Point> = candidates.iter().map(|candidate| candidate.position).collect();
         for (candidate, occupancy) in candidates.iter_mut().zip(field.occupancy(&positions)?) {
@@ -276,9 +292,9 @@ impl TileDetector {
         let scores: Vec<f32> = candidates.iter().map(|candidate| candidate.start).collect();
         let order = by_falling_score(&scores);
         let ranked: Vec<Point> = order.iter().map(|&index| positions[index]).collect();
-        let reach = 0.5 * f64::from(radius) * (1.0 + 1e-5);
+        let reach = f64::from(self.radii.starts) * (1.0 + 1e-5);
         let sees_all = |rank: usize| seen.is_none_or(|seen| self.is_inside(&ranked[rank], reach, seen));
-        let fates = suppress_seen(&ranked, radius / 2.0, sees_all)?;
+        let fates = suppress_seen(&ranked, self.radii.starts, sees_all)?;
         let is_own = |index: usize| {
             let column = self.column_of(&candidates[index].cell);
             (0..2).all(|axis| tile[axis].contains(&column[axis]))

@@ -34,7 +34,8 @@ fn options(mode_radius: Option<Length>) -> Options {
 /// A detector of the tiles of a cloud.
 fn detector_of(model: &Model, options: &Options, points: &[Point]) -> TileDetector {
     let mut detector = TileDetector::new(model, options).unwrap();
-    detector.set_lowest_corner(lowest_corner(points));
+    let end = |end: fn(f32, f32) -> f32| points.iter().copied().reduce(|a, b| std::array::from_fn(|i| end(a[i], b[i])));
+    detector.set_bounds([lowest_corner(points), end(f32::max).unwrap()]).unwrap();
     detector
 }
 

@@ -1,0 +1,117 @@
+//! Corners, edges, planes and plates of known places.
+
+use nalgebra::{Matrix3, Rotation3};
+
+use super::*;
+
+/// A number in −0.5 to 0.5 that looks random.
+fn noise(i: u32, stream: u32) -> f32 {
+    let mixed = (i.wrapping_mul(0x9e37_79b9) ^ stream.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0xc2b2_ae35);
+    ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 8) as f32 / (1 << 24) as f32 - 0.5
+}
+
+/// Points of the first `number` of three planes that meet at the origin, each covering the positive quadrant of side 1.
+fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
+    let side = (1.0 / spacing) as u32;
+    let at = |i: u32| {
+        let (u, v) = ((i % side) as f32 * spacing, (i / side % side) as f32 * spacing);
+        let flat = match i / (side * side) {
+            0 => [u, v, 0.0],
+            1 => [0.0, u, v],
+            _ => [v, 0.0, u],
+        };
+        // The sum of four has nearly a normal distribution.
+        [0, 1, 2].map(|axis| flat[axis as usize] + sigma * 1.73 * (0..4).map(|k| noise(i, 4 * axis + k)).sum::<f32>())
+    };
+    (0..number * side * side).map(at).collect()
+}
+
+fn localized(points: &[Point], start: Point) -> Place {
+    let anchors = first_of_cells(points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
+    by_planes(points, &anchors, &[start], 0.25).unwrap()[0]
+}
+
+fn distance(a: Point, b: Point) -> f32 {
+    (vector(a) - vector(b)).norm() as f32
+}
+
+#[test]
+fn a_corner_with_noise_is_found_within_its_covariance() {
+    let (mut inside, mut total) = (0, 0);
+    for (spacing, sigma) in [(0.01, 0.003), (0.02, 0.003), (0.02, 0.01), (0.04, 0.003), (0.04, 0.01)] {
+        let points = corner(3, spacing, sigma);
+        for i in 0..20 {
+            let start = [noise(i, 91), noise(i, 92), noise(i, 93)].map(|v| 0.25 * v);
+            let place = localized(&points, start);
+            let error = vector(place.position);
+            assert!(error.norm() < 2.0 * f64::from(sigma) + 0.4 * f64::from(spacing), "{spacing} {sigma}: {error}");
+            assert!(place.corner > 0.1 && distance(place.position, start) <= 0.25 * MAX_GROWTH, "{place:?}");
+            let covariance = Matrix3::from_fn(|i, j| f64::from(place.covariance.rows()[i][j]));
+            // 7.81 is the 95 % point of χ² with three degrees of freedom.
+            inside += u32::from(error.dot(&(covariance.try_inverse().unwrap() * error)) < 7.81);
+            total += 1;
+        }
+    }
+    assert!(f64::from(inside) >= 0.95 * f64::from(total), "{inside} of {total}");
+}
+
+#[test]
+fn an_edge_leaves_one_direction_open_and_a_plane_two() {
+    let open = |place: &Place| {
+        let rows = place.covariance.rows();
+        (0..3).filter(|&axis| rows[axis][axis].is_infinite()).count()
+    };
+    let edge = localized(&corner(2, 0.02, 0.003), [0.03, 0.5, 0.04]);
+    assert!(open(&edge) == 1 && edge.corner < OPEN as f32, "{edge:?}");
+    assert!(distance(edge.position, [0.0, 0.5, 0.0]) < 0.01, "{edge:?}");
+    let plane = localized(&corner(1, 0.02, 0.003), [0.5, 0.5, 0.05]);
+    assert!(open(&plane) == 2 && plane.corner < OPEN as f32, "{plane:?}");
+    assert!(distance(plane.position, [0.5, 0.5, 0.0]) < 0.01, "{plane:?}");
+    let nothing = localized(&corner(1, 0.02, 0.003), [0.5, 0.5, 0.9]);
+    assert_eq!(nothing, Place::unknown([0.5, 0.5, 0.9]));
+}
+
+#[test]
+fn a_thin_plate_keeps_its_sides_apart() {
+    let side = corner(1, 0.02, 0.002);
+    let other: Vec<Point> = side.iter().map(|[x, y, z]| [*x, *y, z + 0.1]).collect();
+    let plate = [side, other].concat();
+    for height in [0.0, 0.1] {
+        let place = localized(&plate, [0.5, 0.5, height]);
+        assert!((place.position[2] - height).abs() < 0.02, "{place:?}");
+    }
+}
+
+#[test]
+fn stray_points_do_not_pull() {
+    let clean = corner(3, 0.02, 0.003);
+    let stray = (0..clean.len() as u32 / 20).map(|i| [noise(i, 71), noise(i, 72), noise(i, 73)].map(|v| v + 0.3));
+    let place = localized(&clean.iter().copied().chain(stray).collect::<Vec<_>>(), [0.06, 0.05, -0.04]);
+    assert!(distance(place.position, [0.0; 3]) < 0.015, "{place:?}");
+}
+
+#[test]
+fn rotation_and_far_coordinates_change_nothing() {
+    let points = corner(3, 0.02, 0.003);
+    let start = [0.06, 0.05, -0.04];
+    let place = localized(&points, start);
+    for (angles, offset) in [([0.3, -1.2, 2.5], [0.0; 3]), ([1.0, 0.2, -0.7], [400.0, -700.0, 90.0])] {
+        let turn = Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
+        let moved = |p: &Point| -> Point { (turn * vector(*p) + Vector::from(offset)).map(|v| v as f32).into() };
+        let rotated = localized(&points.iter().map(moved).collect::<Vec<_>>(), moved(&start));
+        let corner = moved(&[0.0; 3]);
+        assert!(distance(rotated.position, corner) < 0.012, "{rotated:?} {corner:?}");
+        let [a, b] = [place, rotated].map(|place| place.covariance.deviation());
+        assert!((a / b).ln().abs() < 0.7, "{a} {b}");
+    }
+}
+
+#[test]
+fn the_place_does_not_depend_on_points_far_away() {
+    let points = corner(3, 0.02, 0.003);
+    let start = [0.06, 0.05, -0.04];
+    let is_near = |point: &&Point| distance(**point, start) < 0.25 * (2.0 * MAX_GROWTH + PATCHES[1]);
+    let near: Vec<Point> = points.iter().filter(is_near).copied().collect();
+    assert!(near.len() < points.len());
+    assert_eq!(localized(&near, start), localized(&points, start));
+}

@@ -1,0 +1,99 @@
+//! Keypoints of an object move onto its surface.
+
+use rayon::prelude::*;
+
+use super::localize::{asked, shows_surface};
+use super::modes::{Modes, weighted_mean};
+use crate::Result;
+use crate::field::Field;
+use snake_geometry::{Point, RadiusCells, nearest_points, vector};
+
+/// A mode moves to the most salient point within this many voxels, in an object of radius 1 about 0.07 wide each, ...
+const SEARCH: f32 = 2.0;
+/// ... and twice to the mean of the points within this many, ...
+const MEAN: f32 = 1.4;
+/// ... weighted by this power of their saliency.
+const POWER: i32 = 4;
+/// A mode lies on the surface if a point is within this many voxels.
+const ON: f32 = 0.5;
+
+/// Modes on the surface, as the points show it, and what they are ranked by. The modes of two sides of a thin body average to its
+/// middle. Where points are sparse or have noise, the field knows the surface better than they do, and modes stay.
+///
+/// Moved modes meet. Where that leaves a gap in a list of keypoints `apart`, modes that lie on the surface already stand in: they come
+/// again, ranked after all others.
+pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Modes, Vec<f32>)> {
+    if modes.positions.is_empty() || !shows_surface(field)? {
+        let ranks = modes.scores.clone();
+        return Ok((modes, ranks));
+    }
+    let [search, mean, on] = [SEARCH, MEAN, ON].map(|voxels| voxels * field.voxel_size());
+    let points = &asked(field)[..];
+    let saliency = field.saliency(points)?;
+    let weights: Vec<f32> = saliency.iter().map(|saliency| saliency.powi(POWER)).collect();
+    let cells = RadiusCells::new(points, search)?;
+    let moved = |mode: &Point| {
+        let mut best: Option<usize> = None;
+        cells.within(mode, search, |index| {
+            let is_better = |other: usize| (saliency[index], other) > (saliency[other], index);
+            if best.is_none_or(is_better) {
+                best = Some(index);
+            }
+        });
+        best.map_or(*mode, |best| (0..2).fold(points[best], |at, _| weighted_mean(&cells, &weights, at, mean)))
+    };
+    let mut positions: Vec<Point> = modes.positions.par_iter().map(moved).collect();
+    let mut ranks = modes.scores.clone();
+    let mut scores = modes.scores;
+    if apart > 0.0 {
+        let nearest = nearest_points(points, &modes.positions)?;
+        for (mode, (position, nearest)) in modes.positions.iter().zip(nearest).enumerate() {
+            if (vector(*position) - vector(points[nearest])).norm() < f64::from(on) {
+                positions.push(*position);
+                ranks.push(scores[mode] - 1.0);
+                scores.push(scores[mode]);
+            }
+        }
+    }
+    Ok((Modes { positions, scores }, ranks))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(field: &Field, positions: &[Point], apart: f32) -> Vec<Point> {
+        let modes = Modes { positions: positions.to_vec(), scores: vec![0.5; positions.len()] };
+        on_surface(field, modes, apart).unwrap().0.positions
+    }
+
+    /// A box of 0.3 by 1 by 0.4, thin enough that modes of both sides meet in its middle.
+    fn plate(number: usize) -> Field {
+        let golden = |i: usize, k: f64| (i as f64 * k).fract() as f32;
+        let side = |i: usize| {
+            [if i.is_multiple_of(2) { 0.0 } else { 0.3 }, golden(i, 0.754_877_67), 0.4 * golden(i, 0.569_840_29)]
+        };
+        let points: Vec<Point> = (0..number).map(side).collect();
+        crate::Model::builtin(crate::Builtin::Compact).encode(&points, &crate::EncodeOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn modes_move_onto_the_surface_and_those_on_it_come_again() {
+        let field = plate(8000);
+        let voxel = field.voxel_size();
+        let modes = [[0.3, 0.5, 0.2], [0.3 - 1.4 * voxel, 0.5, 0.2], [1.4 * voxel, 0.5, 0.2]];
+        let moved = placed(&field, &modes, 0.0);
+        assert_eq!(moved.len(), 3);
+        for position in &moved {
+            assert!(position[0].abs().min((position[0] - 0.3).abs()) < 1e-4, "{position:?}");
+        }
+        assert_eq!(placed(&field, &modes, 0.1), [&moved[..], &modes[..1]].concat());
+    }
+
+    #[test]
+    fn sparse_points_move_nothing() {
+        let inside = [[0.05, 0.5, 0.2]];
+        assert_eq!(placed(&plate(300), &inside, 0.1), inside);
+        assert_ne!(placed(&plate(8000), &inside, 0.1), inside);
+    }
+}
