@@ -30,7 +30,7 @@ const RIVAL_STEPS: usize = 8;
 const MIN_SELF_SUPPORT: f64 = 0.06;
 /// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
 /// distances. An object in a map has 7 to 11.
-const MIN_UNSIGNED_MOTION: f64 = 11.5;
+const MIN_UNSIGNED_MOTION: f64 = 12.0;
 /// A rival contradicts at most this. Unit: share of the places that the winner explains and that tell the two apart. Stairs,
 /// ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more.
 const MAX_CONTRADICTED: f64 = 0.08;
