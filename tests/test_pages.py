@@ -228,7 +228,7 @@ def test_python_runs(page, folder, monkeypatch, capsys):
                     stand_in(Path(name))
             exec(code, names | {"snake_rs": snake_rs})
     if page == "README.md":
-        assert "Keypoints(45" in capsys.readouterr().out
+        assert "Keypoints(34" in capsys.readouterr().out
 
 
 def test_rust_example_is_the_one_that_cargo_compiles():

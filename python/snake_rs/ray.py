@@ -60,7 +60,13 @@ _TRANSFORM = [
     pa.field("is_reliable", pa.bool_()),
 ]
 _ERROR = pa.field("error", pa.string())
-_RANK = {"start": "descending", "cell_z": "ascending", "cell_y": "ascending", "cell_x": "ascending"}
+_RANK = {
+    "rank": "descending",
+    "start": "descending",
+    "cell_z": "ascending",
+    "cell_y": "ascending",
+    "cell_x": "ascending",
+}
 
 
 def _use_own_cpus() -> None:
@@ -255,7 +261,7 @@ class TileKeypoints:
 def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) -> pa.Table:
     """The keypoints of a large cloud by `concurrency` actors of `num_cpus` CPUs each: the bits of `Tiles.finish` on one
     machine. Columns: `x`, `y`, `z` (float64, in the units of the files), `saliency`, `occupancy`, `nearest_index` and `tile`,
-    by falling saliency.
+    best first.
 
     A worker that dies is started again and goes on with the tiles that are not done. A tile that fails is named with its bounds
     in a ValueError, once the others are detected: the same call tries only the failed ones again. Raises OSError within
@@ -280,6 +286,5 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
         raise ValueError(f"{len(failed)} of {len(tiles)} tiles failed: {reasons}")
     references: Any = over_tiles(TileKeypoints, 4).to_arrow_refs()
     parts: list[pa.Table] = ray.get(references)
-    order = [("saliency", "descending"), *_RANK.items()]
-    table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by(order)
+    table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by([*_RANK.items()])
     return table.drop_columns(list(_RANK)).slice(0, tiles.max_keypoints)

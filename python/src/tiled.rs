@@ -236,9 +236,9 @@ impl DetectedTiles {
     }
 
     /// The keypoints of one tile, a dict of arrays (K,): `x`, `y`, `z`, `saliency`, `occupancy`, `nearest_index` (over all
-    /// files, in their order), `confidence`, `start`, the saliency where it started, and the voxel there, `cell_z`, `cell_y` and `cell_x`.
+    /// files, in their order), `confidence`, `rank`, `start`, the saliency where it started, and the voxel there, `cell_z`, `cell_y` and `cell_x`.
     ///
-    /// The keypoints of all tiles, sorted by falling saliency, then falling `start`, `cell_z`, `cell_y` and `cell_x`, are those of
+    /// The keypoints of all tiles, sorted by falling `rank`, then falling `start`, `cell_z`, `cell_y` and `cell_x`, are those of
     /// `Tiles.finish`, which also limits their number. Raises as `Tiles.detect`.
     fn keypoints<'py>(&self, py: Python<'py>, tile: usize) -> PyResult<Bound<'py, PyDict>> {
         let tile = nth(&self.run, tile)?;
@@ -257,6 +257,7 @@ impl DetectedTiles {
         columns.set_item("nearest_index", arrays::values(py, nearest))?;
         let confidence = keypoints.iter().map(|tiled| tiled.keypoint.confidence.unwrap_or(f32::NAN)).collect();
         columns.set_item("confidence", arrays::values(py, confidence))?;
+        columns.set_item("rank", arrays::values(py, keypoints.iter().map(|tiled| tiled.rank).collect()))?;
         columns.set_item("start", arrays::values(py, keypoints.iter().map(|tiled| tiled.start).collect()))?;
         for (axis, name) in [(2, "cell_z"), (1, "cell_y"), (0, "cell_x")] {
             columns.set_item(name, arrays::values(py, keypoints.iter().map(|tiled| tiled.cell[axis]).collect()))?;

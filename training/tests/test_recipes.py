@@ -33,7 +33,7 @@ def test_the_recipe_of_scenes_ends_with_a_weight_file_and_its_map(run_dir):
     weights = run_dir / "scenes.safetensors"
     assert load_network(weights).config.to_metadata()["coordinates"] == "voxel" and weights.stat().st_size < 1_000_000
     with safe_open(weights, "numpy") as file:
-        knots = json.loads(file.metadata()["confidence"])
+        knots = json.loads(file.metadata()["confidence"])["knots"]
     assert all(0 <= probability <= 1 for _, probability in knots) and knots == sorted(knots)
     pairs = json.loads((run_dir / "drives/pairs.json").read_text())
     assert [pair["source"] for pair in pairs] == ["drive100_1", "drive100_2"]

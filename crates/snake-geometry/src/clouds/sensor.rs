@@ -402,7 +402,7 @@ mod tests {
             point
         };
         let ball = |index: usize| {
-            let (z, angle) = (2.0 * unit(index, 0.754_878), 6.283_185 * unit(index, 0.618_034));
+            let (z, angle) = (2.0 * unit(index, 0.754_878), std::f32::consts::TAU * unit(index, 0.618_034));
             let ring = (1.0 - z * z).sqrt();
             [ring * angle.cos(), ring * angle.sin(), z]
         };

@@ -40,8 +40,10 @@ const TILT: f64 = 0.1;
 const FLATNESS: f64 = 0.1;
 /// Values of [`Place::corner`] that make a difference in rank.
 const CORNERS: [f32; 2] = [0.005, 0.2];
-/// A direction is open if less than this share of the weights is along it.
+/// A direction is open if less than this share of the weights is along it, ...
 const OPEN: f64 = 0.005;
+/// ... or if the planes know it worse than the field does: to this share of the radius, 0.3 voxels of a scene.
+const FIELD_DEVIATION: f64 = 0.06;
 /// Points of an object that are asked, at most.
 const MANY: usize = 8_192;
 /// Points are dense if nearest ones are closer than this many voxels, on average.
@@ -191,16 +193,17 @@ impl Planes {
         let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * f64::from(radius));
         let normals = self.normals / self.weight;
         let information = normals * (number / residual.powi(2));
+        let open = OPEN.max((residual / (FIELD_DEVIATION * f64::from(radius))).powi(2) / number);
         let SymmetricEigen { eigenvalues, eigenvectors } = normals.symmetric_eigen();
         let along = |axis: usize| {
             let direction: Vector = eigenvectors.column(axis).into();
-            let moved = if eigenvalues[axis] > OPEN { direction.dot(&(nearest - keypoint)) } else { 0.0 };
+            let moved = if eigenvalues[axis] > open { direction.dot(&(nearest - keypoint)) } else { 0.0 };
             direction * moved
         };
         Place {
             position: (keypoint + along(0) + along(1) + along(2)).map(|v| v as f32).into(),
-            covariance: Covariance::from_information(&information, OPEN),
-            corner: eigenvalues.min() as f32,
+            covariance: Covariance::from_information(&information, open),
+            corner: if eigenvalues.min() > open { eigenvalues.min() as f32 } else { 0.0 },
         }
     }
 }

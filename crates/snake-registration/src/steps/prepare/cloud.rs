@@ -165,7 +165,6 @@ impl<'a> UsedPoints<'a> {
     }
 
     /// The prepared cloud of these points and their voxels.
-    #[expect(clippy::too_many_arguments, reason = "what one cloud has, and what all have")]
     pub(super) fn prepare(
         &self,
         voxels: Neighbors,
