@@ -2,9 +2,10 @@
 
 import dataclasses
 import re
+from typing import Any
 
 
-def make(name, doc, fields):
+def make(name: str, doc: str, fields: list[tuple[str, str]]) -> type:
     """A class with these (attribute, documentation)."""
     lines = [doc.strip(), "", *(f"{field}: {' '.join(text.split())}" for field, text in fields)]
     plain = re.sub(r"\[(`[^]]+`)\](\([^)]*\)+)?", r"\1", "\n".join(lines))  # without the links of Rust
@@ -12,10 +13,10 @@ def make(name, doc, fields):
     return dataclasses.make_dataclass(name, [field for field, _ in fields], namespace=namespace, frozen=True, eq=False)
 
 
-def shown(result):
+def shown(result: Any) -> str:
     """A result with its attributes, arrays by their shape, and long lists by their length."""
 
-    def text(value):
+    def text(value: Any) -> str:
         if hasattr(value, "shape"):
             return f"array of shape {value.shape}"
         return f"list of {len(value)}" if isinstance(value, list) and len(value) > 3 else repr(value)
