@@ -113,7 +113,7 @@ class Rule:
         self.mean, self.deviation, self.weights = mean, deviation, weights
 
     def columns(self, rows):
-        """What is weighed (N, K + K (K + 1) / 2): the signs (N, K), and the products of each with those before it and itself."""
+        """The terms of a quadratic form (N, K + K (K + 1) / 2): the scaled signs (N, K), their products in pairs and squares."""
         scaled = ((rows - self.mean) / self.deviation).clip(-LIMIT, LIMIT)
         products = [scaled[:, [i]] * scaled[:, : i + 1] for i in range(rows.shape[1])]
         return np.column_stack([scaled, *products])

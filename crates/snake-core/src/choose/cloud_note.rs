@@ -1,6 +1,6 @@
 //! What a user should know of a cloud before its keypoints.
 
-use super::few_voxels;
+use super::few_voxels::{self, rounded};
 use crate::cloud::UsedCloud;
 use crate::network::ModelConfig;
 use crate::options::Options;
@@ -25,11 +25,6 @@ pub(super) fn cloud_note(cloud: &UsedCloud, config: &ModelConfig, options: &Opti
     });
     let few = config.frame().and_then(|_| few_voxels::note(cloud));
     cloud.findings().into_iter().chain(haze).chain(step).chain(few).reduce(|first, second| format!("{first}; {second}"))
-}
-
-/// A length with three digits.
-pub(super) fn rounded(length: f64) -> f64 {
-    format!("{length:.2e}").parse().unwrap_or(length)
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use super::cloud_note::rounded;
 use crate::cloud::{UsedCloud, drawn, quantile};
 use snake_geometry::{Neighbors, Point, vector};
 
@@ -61,6 +60,11 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
         (8.0 * variances[1].max(0.0)).sqrt()
     });
     (thickness > SPACINGS * spacing).then_some((number, voxel))
+}
+
+/// A length with three digits.
+pub(super) fn rounded(length: f64) -> f64 {
+    format!("{length:.2e}").parse().unwrap_or(length)
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ const DEVIATIONS: [f64; NUM_SIGNS] =
     [0.02868, 0.06186, 0.06545, 0.5759, 0.1816, 0.1304, 0.1279, 0.02794, 0.02525, 0.1018, 0.1259, 0.1364];
 const LIMIT: f64 = 3.0;
 
-/// The weights of the scaled signs, of the products of each with those before it and itself, and of one.
+/// The weights of a quadratic form: of the scaled signs, of their products in pairs and squares, and the constant.
 const WEIGHTS: [f64; NUM_SIGNS + NUM_SIGNS * (NUM_SIGNS + 1) / 2 + 1] = [
     -0.467, 1.072, 0.5349, 0.6373, 0.8527, -0.5983, 0.8783, -0.7293, -1.417, -0.7845, 1.621, 0.7234, -0.4249, 0.1723,
     -1.392, -0.7696, -0.2556, -1.063, -0.2194, 0.309, 0.1336, 0.06973, 0.856, -0.464, 0.03062, 0.2806, -0.3571,
