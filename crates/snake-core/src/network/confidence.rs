@@ -111,8 +111,7 @@ mod tests {
     fn each_halving_of_the_deviation_counts_like_so_much_score() {
         let model = model(Some(r#"{"knots": [[0.0, 0.0], [2.0, 1.0]], "precision": 0.5}"#)).unwrap();
         let map = model.network().confidence.as_ref().unwrap();
-        let of =
-            |deviation: f64| Covariance::from_information(&(nalgebra::Matrix3::identity() * deviation.powi(-2)), 0.0);
+        let of = |deviation: f64| Covariance::along(&nalgebra::Matrix3::identity(), [deviation.powi(2); 3]);
         for (score, deviation, evidence) in [(0.5, 0.6, 0.5), (0.5, 0.3, 1.0), (0.5, 0.15, 1.5), (0.25, 9.0, 0.25)] {
             assert!((map.at(score, &of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
         }

@@ -1,6 +1,6 @@
 //! How precisely a position is known.
 
-use nalgebra::{Matrix3, SymmetricEigen};
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 /// The covariance of a position in squared cloud units: a symmetric matrix, infinite along directions that are open.
@@ -21,19 +21,12 @@ impl Covariance {
         deviation: f32::INFINITY,
     };
 
-    /// The inverse of an information matrix in inverse squared cloud units. Directions with less than the share `open` of the
-    /// total information are open.
-    pub fn from_information(information: &Matrix3<f64>, open: f64) -> Self {
-        let SymmetricEigen { eigenvalues, eigenvectors } = information.symmetric_eigen();
-        let total = eigenvalues.sum();
-        let is_open = |axis: &usize| eigenvalues[*axis].is_nan() || eigenvalues[*axis] <= open * total;
-        if total.is_nan() || total <= 0.0 {
-            return Self::UNKNOWN;
-        }
+    /// Variances along three orthonormal directions, the columns of a matrix; infinite ones are open.
+    pub fn along(directions: &Matrix3<f64>, variances: [f64; 3]) -> Self {
         let (mut known, mut free) = (Matrix3::zeros(), Matrix3::zeros());
-        for axis in 0..3 {
-            let outer = eigenvectors.column(axis) * eigenvectors.column(axis).transpose();
-            if is_open(&axis) { free += outer } else { known += outer / eigenvalues[axis] }
+        for (direction, variance) in directions.column_iter().zip(variances) {
+            let outer = direction * direction.transpose();
+            if variance.is_finite() { known += outer * variance } else { free += outer }
         }
         let entry = |row: usize, column: usize| {
             if free[(row, column)].abs() > MIN_SHARE { f32::INFINITY } else { known[(row, column)] as f32 }
@@ -79,28 +72,25 @@ impl From<Covariance> for [[Option<f32>; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Rotation3, Vector3};
+    use nalgebra::Rotation3;
 
     #[test]
-    fn directions_with_little_information_are_infinite() {
+    fn open_directions_are_infinite() {
         let turn = Rotation3::from_euler_angles(0.4, -0.9, 2.0).into_inner();
-        let information = |values: [f64; 3]| turn * Matrix3::from_diagonal(&Vector3::from(values)) * turn.transpose();
-        let corner = Covariance::from_information(&information([4.0, 25.0, 100.0]), 0.02);
+        let corner = Covariance::along(&turn, [0.25, 0.04, 0.01]);
         assert!((corner.deviation() - 0.5).abs() < 1e-6);
-        let product = Matrix3::from_fn(|i, j| f64::from(corner.rows()[i][j])) * information([4.0, 25.0, 100.0]);
-        assert!((product - Matrix3::identity()).norm() < 1e-5);
-        let edge = Covariance::from_information(&Matrix3::from_diagonal(&Vector3::new(1e-4, 4.0, 4.0)), 0.02);
+        let expected = turn * Matrix3::from_diagonal(&[0.25, 0.04, 0.01].into()) * turn.transpose();
+        assert!((Matrix3::from_fn(|i, j| f64::from(corner.rows()[i][j])) - expected).norm() < 1e-6);
+        let edge = Covariance::along(&Matrix3::identity(), [f64::INFINITY, 0.25, 0.25]);
         assert_eq!(edge.rows(), [[f32::INFINITY, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 0.25]]);
         assert_eq!(edge.deviation(), f32::INFINITY);
-        for broken in [Matrix3::zeros(), Matrix3::from_element(f64::NAN)] {
-            assert_eq!(Covariance::from_information(&broken, 0.02), Covariance::UNKNOWN);
-        }
+        assert_eq!(Covariance::along(&Matrix3::identity(), [f64::INFINITY; 3]), Covariance::UNKNOWN);
     }
 
     #[test]
     fn covariances_are_read_as_they_are_written() {
-        for values in [[4.0, 25.0, 100.0], [0.0, 4.0, 4.0], [0.0, 0.0, 9.0], [0.0; 3]] {
-            let covariance = Covariance::from_information(&Matrix3::from_diagonal(&Vector3::from(values)), 0.02);
+        for variances in [[4.0, 0.1, 0.01], [f64::INFINITY, 4.0, 4.0], [f64::INFINITY; 3]] {
+            let covariance = Covariance::along(&Matrix3::identity(), variances);
             let text = serde_json::to_string(&covariance).unwrap();
             assert_eq!(serde_json::from_str::<Covariance>(&text).unwrap(), covariance, "{text}");
         }

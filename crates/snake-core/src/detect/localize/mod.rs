@@ -3,10 +3,11 @@
 //! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
 //! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
 //! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
-//! 1985). The keypoint stays along directions that the patches leave open.
+//! 1985).
 //!
-//! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of the place. All of it depends on the
-//! points near a keypoint alone: tiles have the same bits.
+//! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of that place. Along each of its axes the
+//! keypoint moves as far as the planes are to be trusted beside the field, and not at all where they leave a direction open. What the
+//! field's place adds to the covariance is known too. All of it depends on the points near a keypoint alone: tiles have the same bits.
 
 mod patches;
 #[cfg(test)]
@@ -17,7 +18,7 @@ use std::borrow::Cow;
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
-use self::patches::{Patches, first_of_cells};
+use self::patches::{Anchors, Patches, first_of_cells};
 use crate::Result;
 use crate::field::Field;
 use snake_geometry::{Covariance, Point, Vector, resolution, vector};
@@ -40,20 +41,23 @@ const TILT: f64 = 0.1;
 const FLATNESS: f64 = 0.1;
 /// Values of [`Place::corner`] that make a difference in rank.
 const CORNERS: [f32; 2] = [0.005, 0.2];
-/// A direction is open if less than this share of the weights is along it, ...
+/// A direction is open if less than this share of the weights is along it.
 const OPEN: f64 = 0.005;
-/// ... or if the planes know it worse than the field does: to this share of the radius, 0.3 voxels of a scene.
-const FIELD_DEVIATION: f64 = 0.06;
+/// Of a direction that planes know to this share of the radius, 0.2 voxels of a scene, the keypoint moves half the way: the field
+/// finds its own place again about as well.
+const FIELD_DEVIATION: f64 = 0.04;
+/// The standard deviation of the field's place from the one that the planes mean, as a share of the radius.
+const FIELD_BIAS: f64 = 0.3;
 /// Points of an object that are asked, at most.
 const MANY: usize = 8_192;
 /// Points are dense if nearest ones are closer than this many voxels, on average.
 const DENSE: f64 = 0.35;
 /// Points show the surface if more than this share of their patches is certain.
 const SHOWN: f32 = 0.25;
+/// So many patches are asked, about.
+const SURVEY: usize = 512;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
 const MIN_RESIDUAL: f64 = 1e-4;
-/// Neighbouring patches have points in common: so many patches tell as much as one.
-const PATCHES_OF_ONE: f64 = 6.0;
 
 /// A position by the points around it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,8 +105,9 @@ pub(super) fn shows_surface(field: &Field) -> Result<bool> {
     let anchors = anchors(field, &points);
     let patches = Patches::new(&points, &anchors, radius(field))?;
     let is_certain = |anchor: &usize| patches.at(*anchor).is_some_and(|patch| patch.is_certain());
-    let number = (0..anchors.len()).into_par_iter().filter(is_certain).count();
-    Ok(number as f32 > SHOWN * anchors.len() as f32)
+    let asked: Vec<usize> = (0..anchors.points.len()).step_by(anchors.points.len().div_ceil(SURVEY).max(1)).collect();
+    let number = asked.par_iter().filter(|anchor| is_certain(anchor)).count();
+    Ok(number as f32 > SHOWN * asked.len() as f32)
 }
 
 /// The points that are asked: all of a scene; of an object every second, third and so on if it has too many.
@@ -121,12 +126,12 @@ fn radius(field: &Field) -> f32 {
 }
 
 /// Where patches lie: the first point of each cell. The cells lie in the frame of the network, so that a moved scene has the same.
-fn anchors(field: &Field, points: &[Point]) -> Vec<Point> {
+fn anchors(field: &Field, points: &[Point]) -> Anchors {
     let (normalization, side) = (field.normalization(), PATCHES[0] * radius(field));
     first_of_cells(points, |point| normalization.to_network(point).map(|v| v * normalization.scale / side))
 }
 
-fn by_planes(points: &[Point], anchors: &[Point], keypoints: &[Point], radius: f32) -> Result<Vec<Place>> {
+fn by_planes(points: &[Point], anchors: &Anchors, keypoints: &[Point], radius: f32) -> Result<Vec<Place>> {
     let patches = Patches::new(points, anchors, radius)?;
     Ok(keypoints.par_iter().map(|keypoint| place(&patches, *keypoint, radius)).collect())
 }
@@ -144,7 +149,7 @@ fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
             return Place::unknown(keypoint);
         }
         at = nearest.map(|v| v as f32).into();
-        place = planes.place(vector(keypoint), nearest, radius);
+        place = planes.place(vector(keypoint), nearest, f64::from(radius));
     }
     place
 }
@@ -154,6 +159,8 @@ fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
 struct Planes {
     weight: f64,
     squared_weight: f64,
+    /// Weights times the shares of points that no other patch has.
+    own_weight: f64,
     squared_residual: f64,
     normals: Matrix3<f64>,
     target: Vector,
@@ -173,6 +180,7 @@ impl Planes {
             weight /= ((1.0 + (patch.flatness / FLATNESS).powi(2)) * (1.0 + (residual / tolerance).powi(2))).powi(2);
             sums.weight += weight;
             sums.squared_weight += weight * weight;
+            sums.own_weight += weight * patch.own;
             sums.squared_residual += weight * residual * residual;
             sums.normals += patch.normal * patch.normal.transpose() * weight;
             sums.target += patch.normal * (residual * weight);
@@ -188,22 +196,28 @@ impl Planes {
     }
 
     /// The place of a keypoint that moves to a position along the directions that the planes do not leave open.
-    fn place(&self, keypoint: Vector, nearest: Vector, radius: f32) -> Place {
-        let number = (self.weight.powi(2) / self.squared_weight / PATCHES_OF_ONE).max(1.0);
-        let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * f64::from(radius));
-        let normals = self.normals / self.weight;
-        let information = normals * (number / residual.powi(2));
-        let open = OPEN.max((residual / (FIELD_DEVIATION * f64::from(radius))).powi(2) / number);
-        let SymmetricEigen { eigenvalues, eigenvectors } = normals.symmetric_eigen();
-        let along = |axis: usize| {
-            let direction: Vector = eigenvectors.column(axis).into();
-            let moved = if eigenvalues[axis] > open { direction.dot(&(nearest - keypoint)) } else { 0.0 };
-            direction * moved
-        };
+    fn place(&self, keypoint: Vector, nearest: Vector, radius: f64) -> Place {
+        let number = self.weight * self.own_weight / self.squared_weight;
+        let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * radius);
+        let SymmetricEigen { eigenvalues, eigenvectors } = (self.normals / self.weight).symmetric_eigen();
+        let (mut position, mut variances, mut corner) = (keypoint, [f64::INFINITY; 3], f64::INFINITY);
+        for (axis, direction) in eigenvectors.column_iter().enumerate() {
+            let share = eigenvalues[axis];
+            if share <= OPEN {
+                corner = 0.0;
+                continue;
+            }
+            let variance = residual.powi(2) / (number * share);
+            let trust = ((FIELD_DEVIATION * radius).powi(2) / variance).powi(3);
+            let gain = trust / (1.0 + trust);
+            position += direction * (gain * direction.dot(&(nearest - keypoint)));
+            variances[axis] = gain.powi(2) * variance + ((1.0 - gain) * FIELD_BIAS * radius).powi(2);
+            corner = corner.min(share * gain);
+        }
         Place {
-            position: (keypoint + along(0) + along(1) + along(2)).map(|v| v as f32).into(),
-            covariance: Covariance::from_information(&information, open),
-            corner: if eigenvalues.min() > open { eigenvalues.min() as f32 } else { 0.0 },
+            position: position.map(|v| v as f32).into(),
+            covariance: Covariance::along(&eigenvectors, variances),
+            corner: corner as f32,
         }
     }
 }
