@@ -9,6 +9,7 @@ from .data.crops import write_crops
 from .data.datasets import write_halves
 from .data.landmarks import write_landmarks
 from .data.sensors import write_drives, write_frames
+from .data.views import write_bare
 
 FOLDER = {"-o": dict(dest="folder", required=True, metavar="FOLDER", help="folder to write")}
 SEED = {"--seed": option(1, "of the first; the others follow")}
@@ -21,6 +22,10 @@ KINDS = {
     ),
     "frames": (
         write_frames, "Pairs of neighbouring depth frames of made rooms: clouds (N, 3) and pairs.json.",
+        FOLDER | {"--pairs": option(30, "pairs")} | SEED,
+    ),
+    "bare": (
+        write_bare, "Pairs of samples of bare made rooms, of many spacings and noises: clouds (N, 3) and pairs.json.",
         FOLDER | {"--pairs": option(30, "pairs")} | SEED,
     ),
     "drives": (

@@ -5,7 +5,7 @@ teacher   of (stages) and the settings of `snake_training.teacher`: the targets 
 crops     files: ranges [first seed, number] of files of 25 made crops (`snake_training.make crops`)
 scenes    a network of scenes: init and teacher (stages), crops, and the settings of `config.SceneTraining`
 export    of (a stage), output, digest, metadata: the weight file; the digest is that of the released file
-frames    pairs, seed: pairs of depth frames of made rooms (`snake_training.make frames`)
+frames    pairs, seed, bare: pairs of depth frames of made rooms, or samples of bare ones (`snake_training.make frames`, `bare`)
 drives    drives, sweeps, step, seed: pairs of sweeps of made drives (`snake_training.make drives`)
 confidence  of (an export), scenes (stages), number, rotations: the map in the file, of pairs of scenes, or else of the
           validation data (`snake_training.confidence`)
@@ -23,6 +23,7 @@ from .command_line import with_start
 from .config import NETWORK_SHAPE, SceneTraining, TrainConfig, check, from_table
 from .data.crops import Crops, write_part
 from .data.sensors import write_drives, write_frames
+from .data.views import write_bare
 from .export import load_network, weights_of, write_weights
 from .tasks.objects import Objects
 from .tasks.scenes import Scenes
@@ -192,14 +193,15 @@ class ExportStage(Stage):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStage(Stage):
-    """Depth frames."""
+    """Depth frames, or bare rooms, sampled everywhere."""
 
     pairs: int = 30
     seed: int = 1
+    bare: bool = False
 
     def run(self, recipe, folder):
         """Clouds and pairs.json."""
-        write_frames(folder, 2 if recipe.smoke else self.pairs, self.seed)
+        (write_bare if self.bare else write_frames)(folder, 2 if recipe.smoke else self.pairs, self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)

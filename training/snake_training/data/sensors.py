@@ -181,15 +181,15 @@ def pair(rng):
             return first.astype(np.float32), second.astype(np.float32), matrix, overlap
 
 
-def write_frames(folder, pairs=30, seed=1):
-    """`pairs` pairs of frames, and their list. A ValueError for less than one."""
+def write_frames(folder, pairs=30, seed=1, make=pair):
+    """`pairs` pairs of frames, or of what else `make` makes, and their list. A ValueError for less than one."""
     if pairs < 1:
         raise ValueError("pairs must be 1 or more")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
     for row in range(pairs):
-        first, second, matrix, overlap = pair(np.random.default_rng([seed, row, 0xF4A3]))
+        first, second, matrix, overlap = make(np.random.default_rng([seed, row, 0xF4A3]))
         names = [f"room{row:03d}_{view}" for view in range(2)]
         for name, cloud in zip(names, (first, second), strict=True):
             np.save(folder / f"{name}.npy", cloud)

@@ -1,11 +1,11 @@
-"""What a depth camera sees of one object, from one side, and of a table top with several, and bare rooms, for the choice of a model."""
+"""What a depth camera sees of one object, from one side, and of a table top with several, and bare rooms, for the choice of a model and its confidences."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from .sensors import View, depth_camera, whole_view
+from .sensors import View, depth_camera, whole_view, write_frames
 from .shapes import box, moved, sample_surface
-from .solids import CUBE, Solids
+from .solids import CUBE, Solids, about_axis
 from .worlds import any_turn, clutter
 
 FRAMES = "camera", "centred", "turned", "moved"
@@ -84,8 +84,8 @@ def table_top(rng):
     return whole_view(world, View(np.broadcast_to(eye, rays.shape), rays, *limits), rng) - eye
 
 
-def bare_room(rng):
-    """Points (N, 3) of all of the surface of a floor, one to three walls and one to six boxes, in metres, with noise of 5 mm."""
+def bare_surface(rng):
+    """The patches of a floor, one to three walls and one to six boxes, in metres."""
     x, y, height = rng.uniform((1, 1, 2), (3.5, 3.5, 3))
     bottom = np.array([(x, -y, 0), (-x, -y, 0), (-x, y, 0), (x, y, 0)])
     floor = bottom[[[0, 1], [3, 2]]]
@@ -95,5 +95,28 @@ def bare_room(rng):
         half = rng.uniform(0.1, 0.6, 3)
         at = rng.uniform(half[:2] - (x, y), (x, y) - half[:2])
         patches += moved(box(2 * half), (*at, half[2]))
+    return patches
+
+
+def bare_room(rng):
+    """Points (N, 3) of all of a bare surface, in metres, with noise of 5 mm."""
+    patches = bare_surface(rng)
     number = int(np.exp(rng.uniform(np.log(3000), np.log(60000))))
     return sample_surface(patches, number, rng) + rng.normal(0, 0.005, (number, 3))
+
+
+def bare_pair(rng):
+    """Two samples of a bare surface, the second one turned about the vertical: clouds (N, 3) with points 1 to 4 cm apart and noise of
+    1 to 10 mm, the matrix (4, 4) from the first to the second, and their overlap."""
+    patches, matrix = bare_surface(rng), np.eye(4)
+    matrix[:3] = np.column_stack([about_axis(2, rng.uniform(0, 2 * np.pi)), rng.uniform(-3, 3, 3)])
+    area = sum(np.linalg.norm(np.cross(p[1, 0] - p[0, 0], p[0, 1] - p[0, 0])) for p in patches)
+    spacing, noise = (np.exp(rng.uniform(np.log(low), np.log(high))) for low, high in ((0.01, 0.04), (0.001, 0.01)))
+    number = int(area / spacing**2)
+    first, second = (sample_surface(patches, number, rng) + rng.normal(0, noise, (number, 3)) for _ in range(2))
+    return first.astype(np.float32), (second @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32), matrix, 1.0
+
+
+def write_bare(folder, pairs=30, seed=1):
+    """`pairs` pairs of samples of bare rooms, and their list."""
+    write_frames(folder, pairs, seed, bare_pair)

@@ -1,5 +1,7 @@
 //! Keypoints of an object move onto its surface.
 
+use std::collections::{BTreeSet, HashMap};
+
 use rayon::prelude::*;
 
 use super::localize::{asked, shows_surface};
@@ -32,7 +34,7 @@ pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Mod
     let saliency = field.saliency(points)?;
     let weights: Vec<f32> = saliency.iter().map(|saliency| saliency.powi(POWER)).collect();
     let cells = RadiusCells::new(points, search)?;
-    let moved = |mode: &Point| {
+    let most_salient = |mode: &Point| {
         let mut best: Option<usize> = None;
         cells.within(mode, search, |index| {
             let is_better = |other: usize| (saliency[index], other) > (saliency[other], index);
@@ -40,9 +42,14 @@ pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Mod
                 best = Some(index);
             }
         });
-        best.map_or(*mode, |best| (0..2).fold(points[best], |at, _| weighted_mean(&cells, &weights, at, mean)))
+        best
     };
-    let mut positions: Vec<Point> = modes.positions.par_iter().map(moved).collect();
+    let bests: Vec<Option<usize>> = modes.positions.par_iter().map(most_salient).collect();
+    let starts: BTreeSet<usize> = bests.iter().copied().flatten().collect();
+    let moved = |&start: &usize| (start, (0..2).fold(points[start], |at, _| weighted_mean(&cells, &weights, at, mean)));
+    let moved: HashMap<usize, Point> = starts.par_iter().map(moved).collect();
+    let of_mode = |(mode, best): (&Point, Option<usize>)| best.map_or(*mode, |best| moved[&best]);
+    let mut positions: Vec<Point> = modes.positions.iter().zip(bests).map(of_mode).collect();
     let mut ranks = modes.scores.clone();
     let mut scores = modes.scores;
     if apart > 0.0 {

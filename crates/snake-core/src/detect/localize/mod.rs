@@ -55,7 +55,7 @@ const DENSE: f64 = 0.35;
 /// Points show the surface if more than this share of their patches is certain.
 const SHOWN: f32 = 0.25;
 /// So many patches are asked, about.
-const SURVEY: usize = 512;
+const SURVEY: usize = 256;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
 const MIN_RESIDUAL: f64 = 1e-4;
 
