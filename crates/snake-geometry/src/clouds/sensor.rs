@@ -112,13 +112,15 @@ impl Sensor {
             return None;
         }
         let on_surfaces = densities.iter().map(|density| (density.point, best.residual(&density))).collect();
-        let (on_surfaces, in_view) = (excess(on_surfaces, &best.place)?, best.by_bundles(&cloud.points));
+        let on_surfaces = excess(on_surfaces, &best.place)?;
+        let distance = median(cloud.points.iter().map(Vector::norm).collect());
+        let is_origin = best.place.norm() < AT_ORIGIN * distance;
+        let in_view = if is_origin { None } else { best.by_bundles(&cloud.points) };
         let (fit, excess) = in_view.map_or((best, on_surfaces), |(fit, in_view)| (fit, on_surfaces * in_view));
         if on_surfaces > MAX_EXCESS || excess > MAX_EXCESS_IN_VIEW {
             return None;
         }
-        let distance = median(cloud.points.iter().map(Vector::norm).collect());
-        let place = if fit.place.norm() < AT_ORIGIN * distance { Vector::zeros() } else { fit.place };
+        let place = if is_origin { Vector::zeros() } else { fit.place };
         Some(Self { position: place.into(), visible: visible_share(&cloud.points, &place) })
     }
 
