@@ -78,7 +78,10 @@ impl RegistrationPage<'_> {
     /// A cloud with the ends of the matches as its keypoints. What other pages show as saliency chooses the colour.
     fn cloud(&self, index: usize, ends: &[Point]) -> Result<Value> {
         let cloud = self.clouds[index];
-        let finite = FinitePoints::clean("points", &cloud.points, None)?.points;
+        let PairOptions { source_viewpoint, target_viewpoint, .. } = self.pair_options;
+        let source_viewpoint = source_viewpoint.map(|place| place.map(|v| v * self.registration.scale));
+        let given = [target_viewpoint, source_viewpoint][index];
+        let finite = FinitePoints::clean("points", &cloud.points, given)?.points;
         let shown = subsample(&finite);
         let Normalization { center, scale } = Normalization::of(&finite, NormalizationMethod::UnitSphere)?;
         let keypoint = |end: &Point| {

@@ -1,7 +1,9 @@
 //! Missing returns that a sensor writes as points: all at one place, at one distance or at one depth.
 
+use std::cell::OnceCell;
+
 use super::housing::housing;
-use crate::{Point, Vector, least_spread, vector};
+use crate::{Point, Sensor, Vector, least_spread, vector};
 
 /// Missing returns are at least this many points of a cloud, and this share.
 const MIN_POINTS: usize = 50;
@@ -34,10 +36,11 @@ type Missing = (Vec<bool>, String);
 const RULES: [fn(&Returns) -> Option<Missing>; 3] =
     [|returns| returns.at_one_place(), |returns| returns.at_one_distance(), |returns| returns.at_one_depth()];
 
-/// Which of the finite points are missing returns of a sensor, and where, in words. A sensor that is not known is at the origin;
-/// points at one distance then have to be the farthest, since a ball on a stand may be about the origin.
-pub(super) fn missing_returns(points: &[Point], sensor: Option<[f64; 3]>) -> Option<Missing> {
-    let returns = Returns::new(points, sensor)?;
+/// Which of the finite points are missing returns of a sensor, and where, in words. A sensor that is not given is searched, if
+/// the answer depends on it. Where none is found it may be at the origin; points at one distance then have to be the farthest,
+/// since a ball on a stand may be about the origin.
+pub(super) fn missing_returns(points: &[Point], given: Option<[f64; 3]>) -> Option<Missing> {
+    let returns = Returns::new(points, given)?;
     let (is_missing, place) = RULES
         .iter()
         .find_map(|rule| rule(&returns))
@@ -66,8 +69,8 @@ fn leaves_enough(is_missing: &[bool]) -> bool {
 /// The points of a cloud as the returns of a sensor.
 struct Returns<'a> {
     points: &'a [Point],
-    is_sensor_known: bool,
-    sensor: Vector,
+    given: Option<[f64; 3]>,
+    found: OnceCell<Option<Sensor>>,
     min_count: usize,
     /// Whether so many points may have one distance.
     may_repeat: bool,
@@ -75,16 +78,21 @@ struct Returns<'a> {
 
 impl<'a> Returns<'a> {
     /// `None` for fewer points than missing returns are.
-    fn new(points: &'a [Point], sensor: Option<[f64; 3]>) -> Option<Self> {
+    fn new(points: &'a [Point], given: Option<[f64; 3]>) -> Option<Self> {
         let min_count = MIN_POINTS.max((MIN_SHARE * points.len() as f64) as usize);
-        let (is_sensor_known, sensor) = (sensor.is_some(), sensor.unwrap_or_default().into());
-        let mut returns = Self { points, is_sensor_known, sensor, min_count, may_repeat: false };
+        let mut returns = Self { points, given, found: OnceCell::new(), min_count, may_repeat: false };
         returns.may_repeat = may_be_frequent(points.iter().map(|point| returns.distance(point)), min_count);
         (points.len() >= min_count).then_some(returns)
     }
 
+    /// The distance from the sensor that is given, or from the origin: a place that is found is not exact.
     fn distance(&self, point: &Point) -> f64 {
-        (vector(*point) - self.sensor).norm()
+        (vector(*point) - Vector::from(self.given.unwrap_or_default())).norm()
+    }
+
+    fn sensor(&self) -> Option<[f64; 3]> {
+        let found = || self.found.get_or_init(|| Sensor::find(self.points)).map(|sensor| sensor.position);
+        self.given.or_else(found)
     }
 
     /// Copies of one point, where points are not repeated otherwise. They are at one distance, too.
@@ -100,8 +108,8 @@ impl<'a> Returns<'a> {
         let (place, count, distinct) = (key(&points[most[0] as usize]), most.len(), copies().count());
         let mean = points.len() as f64 / distinct as f64;
         let others = (points.len() - count) as f64 / (distinct - 1).max(1) as f64;
-        let is_mesh = !self.is_sensor_known && others > MAX_OTHER_COPIES;
-        if count < self.min_count || (count as f64) < MIN_COPIES * mean || is_mesh {
+        let is_many = count >= self.min_count && count as f64 >= MIN_COPIES * mean;
+        if !is_many || others > MAX_OTHER_COPIES && self.sensor().is_none() {
             return None;
         }
         let [x, y, z] = place.map(f32::from_bits);
@@ -115,14 +123,17 @@ impl<'a> Returns<'a> {
         }
         let distances = || self.points.iter().map(|point| self.distance(point));
         let farthest = distances().fold(0.0, f64::max);
-        let can_be = |distance: &f64| self.is_sensor_known || *distance >= (1.0 - TOLERANCE) * farthest;
-        frequent(distances().collect(), self.min_count).into_iter().filter(can_be).find_map(|distance| {
+        let can_be = |distance: f64| match self.sensor() {
+            Some(place) => self.given.is_some() || place == [0.0; 3],
+            None => distance >= (1.0 - TOLERANCE) * farthest,
+        };
+        frequent(distances().collect(), self.min_count).into_iter().find_map(|distance| {
             let is_at = |other: f64| (other - distance).abs() <= TOLERANCE * distance;
             let is_missing: Vec<bool> = distances().map(is_at).collect();
             let shell = self.points.iter().zip(&is_missing).filter(|(_, missing)| **missing);
             let shell: Vec<Vector> = shell.map(|(point, _)| vector(*point)).collect();
             let faces_all_ways = !is_surface(&is_missing) && least_spread(&shell) > MIN_SPREAD * distance;
-            faces_all_ways.then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
+            (faces_all_ways && can_be(distance)).then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
         })
     }
 
@@ -141,16 +152,16 @@ impl<'a> Returns<'a> {
             let is_at = |point: &Point| (f64::from(point[axis]) - depth).abs() <= TOLERANCE * depth.abs();
             let at_depth = || points.iter().filter(|point| is_at(point));
             let first = at_depth().next();
-            let is_vertex = !self.is_sensor_known && at_depth().all(|point| Some(point) == first);
-            if at_depth().count() < self.min_count || is_vertex {
+            if at_depth().count() < self.min_count {
                 return None;
             }
             let is_missing: Vec<bool> = points.iter().map(is_at).collect();
             let others = points.iter().filter(|point| !is_at(point));
             let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
             let is_behind = depth.abs() > MIN_DEPTH * farthest && !is_surface(&is_missing);
+            let is_vertex = || at_depth().all(|point| Some(point) == first) && self.sensor().is_none();
             let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
-            is_behind.then_some((is_missing, place))
+            (is_behind && !is_vertex()).then_some((is_missing, place))
         })
     }
 }
@@ -225,6 +236,25 @@ mod tests {
             let (points, _) = scan(|ray| ray * (3.0 / ray.x).min(2.0 / ray.y.abs()));
             assert_eq!(cleaned(&points, sensor).0, 4000);
         }
+    }
+
+    #[test]
+    fn the_sensor_of_a_scan_is_found_where_its_missing_returns_tell_nothing_else() {
+        // A room about the sensor; the returns of a window stand at one distance within it.
+        let is_missing = |i: u32| (60..120).contains(&(i % 300)) && (40..90).contains(&(i / 300));
+        let point = |i: u32| -> Point {
+            let (azimuth, elevation) = (f64::from(i % 300) * 0.020_944, f64::from(i / 300) * 0.02 - 1.0);
+            let ray = Vector::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
+            let walls = ray.zip_map(&Vector::new(0.6, 0.4, 0.2), |along, off| (3.0 * along.signum() + off) / along);
+            let noise = 1.0 + f64::from(i * 7919 % 1000) * 1e-5;
+            (if is_missing(i) { 1.2 } else { walls.min() * noise } * ray).map(|v| v as f32).into()
+        };
+        let room: Vec<Point> = (0..30_000).map(point).collect();
+        assert_eq!(cleaned(&room, None), cleaned(&room, Some([0.0; 3])));
+        assert_eq!(cleaned(&room, None).0, 27_000);
+        // The same room in the coordinates of a site, where the origin is nobody's place.
+        let moved: Vec<Point> = room.iter().map(|[x, y, z]| [x + 4.0, y + 3.0, z + 2.0]).collect();
+        assert_eq!(cleaned(&moved, None).0, 30_000);
     }
 
     #[test]

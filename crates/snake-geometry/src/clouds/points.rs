@@ -150,8 +150,8 @@ impl<'a> FinitePoints<'a> {
     }
 
     /// [`FinitePoints::of`] a cloud as a sensor or a file gives it: without missing returns too, which are points at one place, at
-    /// one distance from the sensor or at one depth behind all others. Without a known sensor it is taken to be at the origin,
-    /// and less is taken for missing. [`FinitePoints::findings`] names what was left out.
+    /// one distance from the sensor or at one depth behind all others. A sensor that is not given is found in the points; where
+    /// they do not tell, less is taken for missing. [`FinitePoints::findings`] names what was left out.
     ///
     /// # Errors
     /// [`Error::Input`] when there are no finite points.

@@ -83,25 +83,39 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
     })
 }
 
-/// Compares a transform that is reliable or ambiguous with others: the turns that
-/// lay the planes of the overlap on planes, the motions under which a cloud looks like itself, and the shifts after which
-/// details of the target repeat. If one explains the clouds about as well, the registration becomes ambiguous and not
-/// reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
-/// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a mirror image fits better, or if scans that it puts at one place differ.
+/// Compares a transform with others: the turns that lay the planes of the overlap on planes, the motions under which a cloud looks
+/// like itself, and the shifts after which details of the target repeat. One that explains significantly more is the answer
+/// instead, ambiguous and no more confident. If one explains the clouds about as well, a registration that is reliable or ambiguous becomes
+/// ambiguous and not reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
+/// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a
+/// mirror image fits better, or if scans that it puts at one place differ.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
 pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration) -> Result<()> {
-    let verdict = &mut registration.verdict;
-    let is_open = verdict.confidence == 0.0;
-    if is_open || !(verdict.is_reliable || verdict.is_ambiguous) {
+    // Nothing helps an open direction.
+    if registration.verdict.confidence == 0.0 {
         return Ok(());
     }
     let transform = registration.t_target_source.isometry();
     let standing = contradicted_at_one_place(pair, transform)?;
+    let mut equal = rivals(pair, transform, standing.is_some())?;
+    if let Some(better) = equal.iter().filter(|rival| rival.is_better()).max_by_key(|rival| rival.gain()) {
+        let candidates = [better.transform, *transform].map(|at| Candidate::measure(pair, matches, &at.into()));
+        let (note, confidence) = (better.note(transform), registration.verdict.confidence);
+        *registration = judge(pair, matches, &candidates)?;
+        let verdict = &mut registration.verdict;
+        verdict.confidence = verdict.confidence.min(confidence).min(MAX_DOUBTFUL);
+        (verdict.is_reliable, verdict.is_ambiguous) = (false, true);
+        verdict.notes.insert(0, note);
+        return Ok(());
+    }
+    let verdict = &mut registration.verdict;
+    if !(verdict.is_reliable || verdict.is_ambiguous) {
+        return Ok(());
+    }
     let contradicted = standing.filter(|share| *share > MAX_STANDING);
     let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
-    let mut equal = rivals(pair, transform, standing.is_some())?;
     equal.retain(Rival::is_equal);
     if equal.is_empty() && contradicted.is_none() && together.is_none() {
         return Ok(());

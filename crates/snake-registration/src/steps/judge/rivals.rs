@@ -57,7 +57,7 @@ const HOPELESS: f64 = 0.5;
 /// have 0.1 and more.
 const MIRROR_LEAD: f64 = 0.06;
 
-/// Absence contradicts a rival where it loses more places than it gains by so many standard deviations. Half turns of
+/// Of two transforms one explains more places, and absence contradicts the other, by so many standard deviations. Half turns of
 /// rooms that are the answer have -5 to 2 beside the truth, the other way round 4 and more.
 const MIN_DEVIATIONS: f64 = 3.0;
 
@@ -100,9 +100,14 @@ struct Counts {
 }
 
 impl Counts {
+    /// How many more places the rival explains than the winner does.
+    fn gain(&self) -> i64 {
+        (self.rival + self.gained) as i64 - (self.winner + self.absent) as i64
+    }
+
     /// By how much the winner leads, as a share of the places that it explains.
     fn lead(&self) -> f64 {
-        ((self.winner + self.absent) as f64 - (self.rival + self.gained) as f64) / self.explained()
+        -self.gain() as f64 / self.explained()
     }
 
     /// The share of the places that the winner explains and the rival does not.
@@ -117,9 +122,9 @@ impl Counts {
     }
 
     /// Whether absence contradicts the rival: nobody knows where an unknown sensor looked, and a rival that explains as
-    /// many other places instead is as good (McNemar's test).
+    /// many other places instead is as good.
     fn absence_tells(&self) -> bool {
-        self.absent as f64 - self.gained as f64 > MIN_DEVIATIONS * ((self.absent + self.gained) as f64).sqrt()
+        is_significant(self.absent as i64 - self.gained as i64, self.absent + self.gained)
     }
 
     fn explained(&self) -> f64 {
@@ -144,6 +149,17 @@ impl Rival {
             _ if self.is_standing => (of_telling, STANDING_CONTRADICTED),
             _ => (of_telling, MAX_CONTRADICTED),
         }
+    }
+
+    /// How many more places it explains than the winner does.
+    pub(super) fn gain(&self) -> i64 {
+        self.counts.gain()
+    }
+
+    /// Whether it explains significantly more places than the winner. A mirror image is no answer.
+    pub(super) fn is_better(&self) -> bool {
+        let Counts { winner, absent, rival, gained, .. } = self.counts;
+        !self.is_mirrored() && is_significant(self.gain(), winner + absent + rival + gained)
     }
 
     /// Whether the rival contradicts little of what tells it from the winner.
@@ -183,6 +199,11 @@ impl Rival {
             Motion::Shift(Shift { by, .. }) => repeat_note("target", &by),
         }
     }
+}
+
+/// Whether one of two transforms explains so many more of the places that only one explains (McNemar's test).
+fn is_significant(more: i64, differing: usize) -> bool {
+    more as f64 > MIN_DEVIATIONS * (differing as f64).sqrt()
 }
 
 /// What repeats itself after a shift, in a sentence.
@@ -423,17 +444,22 @@ fn best_part(fit: impl Fn(f64) -> i32, unit: f64) -> f64 {
 mod tests {
     use super::*;
 
+    fn rival(motion: Motion, winner: usize, rival: usize) -> Rival {
+        let counts = Counts { both: 200, telling: 200, winner, rival, absent: 0, gained: 0 };
+        Rival { transform: IsometryMatrix3::identity(), motion, counts, is_standing: false, moved: 1.0 }
+    }
+
     #[test]
     fn a_mirror_image_that_explains_more_is_a_rival_whatever_it_contradicts() {
-        let mirrored = |winner, rival| Rival {
-            transform: IsometryMatrix3::identity(),
-            motion: Motion::Mirror,
-            counts: Counts { both: 200, telling: 200, winner, rival, absent: 0, gained: 0 },
-            is_standing: false,
-            moved: 1.0,
-        };
-        assert!(mirrored(180, 500).is_equal());
-        assert!(!mirrored(180, 180).is_equal());
+        assert!(rival(Motion::Mirror, 180, 500).is_equal());
+        assert!(!rival(Motion::Mirror, 180, 180).is_equal());
+    }
+
+    #[test]
+    fn a_rival_that_explains_significantly_more_is_better_and_a_mirror_image_never() {
+        assert!(rival(Motion::Alike, 20, 60).is_better());
+        assert!(!rival(Motion::Alike, 20, 40).is_better());
+        assert!(!rival(Motion::Mirror, 20, 60).is_better());
     }
 
     #[test]

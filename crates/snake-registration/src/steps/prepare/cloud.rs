@@ -144,10 +144,9 @@ impl<'a> UsedPoints<'a> {
         viewpoint: impl Fn(usize) -> Option<[f64; 3]> + Sync,
     ) -> std::result::Result<Vec<Self>, (usize, snake_core::Error)> {
         let clean = |(index, points): (usize, &&'a [Point])| {
-            let viewpoint = Viewpoint::new(points, viewpoint(index));
-            let position = viewpoint.map(|viewpoint| viewpoint.sensor.position);
-            let used = FinitePoints::clean("points", points, position).map_err(|error| (index, error))?;
+            let used = FinitePoints::clean("points", points, viewpoint(index)).map_err(|error| (index, error))?;
             let (outliers, missing) = (used.outliers(), used.missing().to_vec());
+            let viewpoint = Viewpoint::new(&used.points, viewpoint(index));
             Ok(Self {
                 num_skipped: points.len() - used.points.len(),
                 points: used.points,
