@@ -118,8 +118,8 @@ sdist: $(VENV)/ready  # the source distribution of the Python module compiles by
 	cd target/sdist && tar -xmzf snake_rs-*.tar.gz
 	CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --manifest-path target/sdist/snake_rs-*/python/Cargo.toml
 
-golden: $(VENV)/ready  ## check the golden files against the PyTorch network
-	$(PYTHON) tests/golden/generate.py --check
+golden: $(VENV)/ready  ## check the golden files against the PyTorch networks
+	$(PYTHON) -m pytest -q training/tests/test_golden.py
 
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch and OpenVINO
 	$(PYTHON) tests/bench/speed.py
