@@ -1,18 +1,10 @@
-"""Where keypoints of rooms lie: corners of made rooms, and pairs of real ones by equal number and by the default list.
-
-    python tests/bench/places.py                    # made rooms alone
-    python tests/bench/places.py SCENES --pairs 20  # SCENES: a folder with pairs.json and clouds, see `snake-cli eval repeatability`
+"""Where keypoints lie beside the corners of made rooms: python tests/bench/places.py
 
 A made room is a floor, two walls and boxes, turned, far from the origin, and sampled anew for each row. Its corners are in the default
 list if a keypoint lies within the row's distance. `inside` is the share of errors within what their covariance says for 95 %.
-`on walls` is the share of default keypoints more than 0.2 m from every edge.
-
-Of pairs, the best 64 keypoints of each cloud that lie 0.16 m apart are compared. Of those whose place the other cloud saw, a share is
-found again within 0.03, 0.05 and 0.1 m. Clouds are as they are, with noise of 2 cm, thinned 8 times, or one of the two thinned."""
+`on walls` is the share of default keypoints more than 0.2 m from every edge."""
 
 import argparse
-import json
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -97,77 +89,9 @@ def corners_row(spacing, noise, quadratic, reach, rooms):
     return f"| {spacing} | {noise} + {quadratic} z² | {number:.0f} | {found:.2f} within {reach} | {median:.3f} | {np.mean(errors):.2f} | {walls:.2f} |"
 
 
-def spaced(points, radius=0.16, number=64):
-    """The best points that lie apart."""
-    tree, is_out, kept = cKDTree(points), np.zeros(len(points), bool), []
-    for index, point in enumerate(points):
-        if not is_out[index]:
-            kept.append(index)
-            is_out[tree.query_ball_point(point, radius)] = True
-    return points[kept[:number]]
-
-
-def found(ours, others, matrix, target, reaches):
-    """Of keypoints whose place the target saw, the shares found again."""
-    moved = ours @ matrix[:3, :3].T + matrix[:3, 3]
-    is_seen = target.query(moved)[0] < 0.08 if len(moved) else np.zeros(0, bool)
-    if not is_seen.any() or not len(others):
-        return [np.nan] * len(reaches)
-    distance = cKDTree(others).query(moved[is_seen])[0]
-    return [(distance < reach).mean() for reach in reaches]
-
-
-def detectors():
-    """Functions from a cloud (N, 3) to ranked positions (K, 3)."""
-    everything = dict(min_confidence=0.0, max_keypoints=2000, nms_radius=0.05, saliency_threshold=0.0)
-    ours = lambda points: np.asarray(snake_rs.detect(points, model="scenes", **everything).points).reshape(-1, 3)
-
-    def classical(detector):
-        def ranked(points):
-            index, response = detector(points)[:2]
-            return points[np.asarray(index)[np.argsort(-np.asarray(response), kind="stable")]]
-
-        return ranked
-
-    return {"ours": ours, "ISS": classical(snake_rs.baselines.iss), "Harris 3D": classical(snake_rs.baselines.harris3d)}
-
-
-def pair_rows(folder, number, seed):
-    """The rows of pairs of rooms."""
-    listed = json.loads((folder / "pairs.json").read_text())
-    listed = [pair for pair in listed if pair["overlap"] >= 0.3 and pair.get("T_icp") and pair["icp_moves_m"] < 0.05]
-    chosen = np.random.RandomState(seed).choice(len(listed), min(number, len(listed)), replace=False)
-    rng, shares, lists = np.random.RandomState(5), {}, {}
-    noisy = lambda points: points + rng.normal(0, 0.02, points.shape)
-    thinned = lambda points: points[rng.permutation(len(points))[: len(points) // 8]]
-    for pair in (listed[row] for row in chosen):
-        source, target = (np.load(folder / f"{pair[end]}.npy")[:, :3].astype(float) for end in ("source", "target"))
-        matrix, tree = np.array(pair["T_icp"]), cKDTree(target)
-        clouds = {
-            "clean": (source, target), "noise": (noisy(source), noisy(target)),
-            "thinned": (thinned(source), thinned(target)), "one thinned": (source, thinned(target)),
-        }  # fmt: skip
-        for name, both in clouds.items():
-            for method, detect in detectors().items():
-                ours, others = (spaced(detect(cloud)) for cloud in both)
-                shares.setdefault((name, method), []).append(found(ours, others, matrix, tree, (0.03, 0.05, 0.1)))
-            if name in ("clean", "thinned"):
-                ours, others = (
-                    np.asarray(snake_rs.detect(cloud, model="scenes").points).reshape(-1, 3) for cloud in both
-                )
-                lists.setdefault(name, []).append([len(ours), *found(ours, others, matrix, tree, (0.05, 0.1))])
-    for (name, method), rows in shares.items():
-        yield f"| {name}, best 64 | {method} | 64 | {' | '.join(f'{share:.2f}' for share in np.nanmean(rows, axis=0))} |"
-    for name, rows in lists.items():
-        count, near, far = np.nanmean(rows, axis=0)
-        yield f"| {name}, default list | ours | {count:.0f} | | {near:.2f} | {far:.2f} |"
-
-
 def main():
-    """Prints the tables."""
+    """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="?", type=Path, help="folder with pairs.json")
-    parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--rooms", type=int, default=3, help="made rooms of each row")
     parser.add_argument("--seed", type=int, default=11)
     given = parser.parse_args()
@@ -176,10 +100,6 @@ def main():
     )
     for case in CORNER_CASES:
         print(corners_row(*case, range(given.seed, given.seed + given.rooms)), flush=True)
-    if given.scenes:
-        print("\n| pairs | method | keypoints | 0.03 | 0.05 | 0.1 |\n|---|---|---|---|---|---|")
-        for row in pair_rows(given.scenes, given.pairs, given.seed):
-            print(row, flush=True)
 
 
 if __name__ == "__main__":
