@@ -50,45 +50,6 @@ fn timing_is_printed_to_stderr() {
     assert_eq!(stderr(&snake(&["detect", &sample()])), "", "only where asked for");
 }
 
-#[test]
-fn every_output_format_holds_the_keypoints() {
-    let folder = tempfile::tempdir().unwrap();
-    for (name, is_cloud) in [("k.ply", true), ("k.pcd", true), ("k.npy", true), ("k.csv", true), ("k.json", false)] {
-        let path = folder.path().join(name);
-        succeed(&["detect", &sample(), "--max-keypoints", "7", "-o", path.to_str().unwrap()]);
-        if is_cloud {
-            assert_eq!(snake_io::read_points(&path).unwrap().len(), 7, "{name}");
-        } else {
-            let value: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-            assert_eq!(value["keypoints"].as_array().unwrap().len(), 7);
-        }
-    }
-    assert_eq!(folder.path().read_dir().unwrap().count(), 5, "no temporary file is left");
-}
-
-#[test]
-fn a_bad_file_does_not_stop_the_others() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::copy(sample(), folder.path().join("b.ply")).unwrap();
-    std::fs::copy(sample(), folder.path().join("c.ply")).unwrap();
-    std::fs::write(folder.path().join("a.xyz"), "1 2 3\n1 2 potato\n").unwrap();
-    std::fs::write(folder.path().join("notes.md"), "not a cloud").unwrap();
-    let results = folder.path().join("results");
-    let (input, out) = (folder.path().to_str().unwrap(), results.to_str().unwrap());
-    let output = snake(&["detect", input, "-o", out, "--format", "csv", "--json"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(
-        stderr(&output).contains("potato") && stderr(&output).contains("1 of 3 inputs failed"),
-        "{}",
-        stderr(&output)
-    );
-    assert_eq!(json_lines(&output).len(), 2);
-    let mut written: Vec<_> =
-        results.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    written.sort();
-    assert_eq!(written, ["b.keypoints.csv", "c.keypoints.csv"]);
-}
-
 /// More than two files a thread are processed side by side.
 #[test]
 fn many_files_are_reported_in_order_for_any_number_of_threads() {
