@@ -5,15 +5,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::Detector;
-use crate::rigid::tests::{random_points, random_transform};
+use crate::rigid::tests::{random_points, random_transform, sample};
 use crate::rigid::transform_points;
 use snake_core::CancelFlag;
 use snake_geometry::Vector;
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
 fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
-    let points = snake_io::read_points(path.as_ref()).unwrap();
+    let points = sample();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let poses: Vec<RigidTransform> = (0..4).map(|_| random_transform(&mut rng).into()).collect();
     let sampling = |start: usize| points.iter().skip(start).step_by(2).copied().collect::<Vec<Point>>();

@@ -1,14 +1,11 @@
 use super::*;
 use crate::options::Descriptor;
+use crate::rigid::tests::sample;
 use crate::steps::describe::fpfh::FPFH_DIMENSION;
 use crate::steps::prepare::Lengths;
 use Detector::{Fps, Harris3d, Iss, Random, Sift3d, Snake, SurfaceVariation, Voxels};
 use snake_core::{Builtin, Field, Model};
 use snake_geometry::{Neighbors, vector};
-
-fn sample() -> Vec<Point> {
-    snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
-}
 
 fn with_model(cloud: VoxelCloud, model: &Model) -> VoxelCloud {
     let options = VoxelCloud::default_options(model, cloud.voxel_size);
@@ -70,14 +67,6 @@ fn spread_keypoints_have_the_wanted_number_and_cover_the_cloud() {
     // ISS finds fewer than are wanted.
     let all = keypoints(&cloud, Iss, 5000);
     assert_eq!(cloud.spread_keypoints(Iss, 5000, 0, &Control::default()).unwrap(), all);
-}
-
-#[test]
-fn a_model_that_recommends_several_copies_encodes_one() {
-    let model = Model::named("standard").unwrap();
-    assert!(model.recommended().encode.rotations > 1);
-    let cloud = with_model(voxel_cloud(&sample(), 0.05), &model);
-    assert_eq!(keypoints(&cloud, Snake, 10).len(), 10);
 }
 
 #[test]
