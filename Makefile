@@ -39,7 +39,7 @@ QUICK := -p snake-kernels -p snake-geometry -p snake-core -p snake-keypoints
 quick:  ## after every edit, three minutes: format, lints, kernels, core, command line
 	cargo fmt --check
 	cargo clippy --release --all-targets
-	cargo test --release $(QUICK) --lib -- --skip control::tests --skip tiles_of_any_size
+	cargo test --release $(QUICK) --lib -- --skip control::tests
 	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs::
 
 # All packages but one, whose features would change those of all others. The Python module by itself has the
