@@ -87,12 +87,8 @@ fn bad_clouds_and_options_are_refused() {
     };
     let default = RegisterOptions::default();
     assert!(refused(&clouds[..1], &[], &default).contains("2 to 500"));
-    for (bad, reason) in
-        [(vec![], "no points"), (vec![[f32::NAN; 3]; 3], "finite"), (vec![[1.0; 3]; 3], "two different")]
-    {
-        let error = refused(&[clouds[0].clone(), clouds[1].clone(), bad], &[], &default);
-        assert!(error.contains("cloud 2 (from 0)") && error.contains(reason), "{error}");
-    }
+    let error = refused(&[clouds[0].clone(), clouds[1].clone(), vec![[1.0; 3]; 3]], &[], &default);
+    assert!(error.contains("cloud 2 (from 0)") && error.contains("two different"), "{error}");
     assert!(refused(&clouds, &[None], &default).contains("viewpoints"));
     assert!(refused(&clouds, &[Some([f64::NAN; 3]); 4], &default).contains("-1e15 to 1e15"));
     let far = [None, Some([0.0, 0.0, 1e200]), None, None];

@@ -70,20 +70,6 @@ fn options_that_run_a_model_need_one_before_anything_is_computed() {
 }
 
 #[test]
-fn fitness_is_that_of_the_refined_transform() {
-    let points = sample();
-    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
-    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
-    let fit = |options| run(source, &target, &options).unwrap().fit;
-    let (refined, rough) = (fit(options()), fit(RegisterOptions { icp_steps: 0, ..options() }));
-    assert_eq!(refined.inlier_distance, rough.inlier_distance);
-    // These are two samplings of one surface, and the rough transform puts a part of it out of
-    // reach.
-    assert!(refined.fitness > 0.95 && refined.fitness > rough.fitness + 0.02, "{refined:?} {rough:?}");
-    assert!(refined.rmse < rough.rmse, "{refined:?} {rough:?}");
-}
-
-#[test]
 fn few_spread_keypoints_register_and_their_matches_agree() {
     let points = sample();
     let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
@@ -93,12 +79,6 @@ fn few_spread_keypoints_register_and_their_matches_agree() {
         let registration = run(source, &target, &few).unwrap();
         assert!(difference(source, &registration.t_target_source, &truth) < 0.05, "{detector:?}: {registration:?}");
         assert!(registration.matches.num_matches <= 500, "{registration:?}");
-        assert_eq!(registration.matches.pairs.len(), registration.matches.num_agreeing);
-        for [from, to] in &registration.matches.pairs {
-            let moved = transform_points(&registration.t_target_source, &[*from])[0];
-            let squared: f32 = (0..3).map(|axis| (moved[axis] - to[axis]).powi(2)).sum();
-            assert!(f64::from(squared.sqrt()) < 1.001 * registration.fit.inlier_distance);
-        }
     }
 }
 
@@ -264,29 +244,6 @@ fn single_matches_find_more_pairs_of_low_overlap() {
 
 fn cloud(points: &[Point], origin: [f64; 3]) -> Cloud {
     Cloud { points: points.to_vec(), origin }
-}
-
-#[test]
-fn scans_of_a_prepared_map_have_the_result_of_register() {
-    let points = sample();
-    let lengths = [0.05, 0.1, 0.25, 0.075].map(|length| Some(Length::Units(length)));
-    let options = RegisterOptions::default()
-        .with_voxel_size(lengths[0])
-        .with_normal_radius(lengths[1])
-        .with_feature_radius(lengths[2])
-        .with_inlier_distance(lengths[3]);
-    let (origin, control) = ([691_000.0, 5_336_000.0, 512.0], Control::default());
-    let map = PreparedMap::new(&cloud(&points[2048..], origin), None, None, &options, &control).unwrap();
-    for seed in 0..2 {
-        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
-        let scan = transform_points(&truth, &points[..2048]);
-        // Neither sensor is known: a georeferenced cloud has none at the zero of its frame.
-        let one = register(&scan, &points[2048..], &options.with_use_viewpoints(false)).unwrap();
-        let one = one.between_origins([0.0; 3], origin);
-        let registration = map.register(&cloud(&scan, [0.0; 3]), &PairOptions::default(), &control).unwrap();
-        assert!(registration.verdict.is_reliable, "{registration:?}");
-        assert_eq!(Registration { seconds: 0.0, ..registration }, Registration { seconds: 0.0, ..one });
-    }
 }
 
 #[test]

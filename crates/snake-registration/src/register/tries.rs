@@ -138,9 +138,6 @@ impl<'a, 'p> Search<'a, 'p> {
     }
 
     /// The registration by the tries that apply.
-    ///
-    /// # Errors
-    /// The errors of [`register_with`](crate::register_with).
     pub(crate) fn register(&self) -> Result<Registration> {
         let mut registration = self.run()?;
         registration.hypotheses.truncate(self.pair_options.hypotheses);
