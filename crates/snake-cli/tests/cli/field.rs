@@ -5,7 +5,7 @@ use std::path::Path;
 use snake_core::{Builtin, Field, Model, Point};
 use snake_io as io;
 
-use super::{assert_refused, file, report, sample, snake, succeed};
+use super::{file, report, sample, succeed};
 
 fn sample_field() -> Field {
     let points = io::read_points(Path::new(&sample())).unwrap();

@@ -129,6 +129,7 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", "--json", "-q"], "required"),
         (&["detect", drive, plane], "a recording has to be the only input"),
         (&["detect", plane, "--topic", "/points"], "--topic is for a recording"),
+        (&["detect", drive, "--topic", "/other"], "no messages of the topic /other; topics with point clouds: /points"),
         (&["detect", drive, "-o", &ply], "give a directory"),
         (&["detect", drive, "-o", "-"], "give a directory"),
         (&["detect", drive, "-o", drive], "is an input"),

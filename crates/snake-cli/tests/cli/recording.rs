@@ -36,15 +36,3 @@ fn a_cut_recording_gives_its_clouds_and_ends_with_1() {
     assert_eq!((done.status.code(), json_lines(&done).len()), (Some(1), 2), "{}", stderr(&done));
     assert!(stderr(&done).contains("cut short") && stderr(&done).contains("1 of 3 inputs failed"), "{}", stderr(&done));
 }
-
-#[test]
-fn other_topics_and_folders_of_bags_are_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().display().to_string();
-    let topics = "no messages of the topic /other; topics with point clouds: /points";
-    assert_refused(&snake(&["detect", &drive(), "--topic", "/other", "-o", &path]), topics);
-    for name in ["metadata.yaml", "old.db3"] {
-        std::fs::write(folder.path().join(name), "of another program").unwrap();
-    }
-    assert_refused(&snake(&["detect", &path]), "ros2 bag convert -i FOLDER");
-}
