@@ -10,7 +10,7 @@ MAX_LINES = {
     "crates/snake-cli": 6388,
     "crates/snake-core": 11580,
     "crates/snake-detectors": 1246,
-    "crates/snake-geometry": 5253,
+    "crates/snake-geometry": 5272,
     "crates/snake-io": 10557,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 11407,

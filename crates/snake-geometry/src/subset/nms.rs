@@ -210,6 +210,25 @@ mod tests {
     }
 
     #[test]
+    fn fates_of_a_part_are_those_of_the_whole() {
+        let at = |i: u32, factor: u32| (i * factor % 997) as f32 / 100.0;
+        let points: Vec<Point> = (0..900).map(|i| [at(i, 131), at(i, 577), 0.0]).collect();
+        let kept = suppress_ranked(&points, 0.4, 900).unwrap();
+        let all = suppress_seen(&points, 0.4, |_| true).unwrap();
+        assert!(all.iter().enumerate().all(|(i, fate)| (*fate == Fate::Kept) == kept.contains(&i)));
+        assert!(!all.contains(&Fate::Unknown));
+        for high in [5.0, 8.0] {
+            let part: Vec<usize> = (0..900).filter(|&i| points[i][0] < high).collect();
+            let positions: Vec<Point> = part.iter().map(|&i| points[i]).collect();
+            let fates = suppress_seen(&positions, 0.4, |rank| positions[rank][0] + 0.4001 < high).unwrap();
+            let known = part.iter().zip(&fates).filter(|(_, fate)| **fate != Fate::Unknown);
+            assert!(known.clone().all(|(&i, fate)| *fate == all[i]));
+            // The fates at the border are not all known.
+            assert!((part.len() / 10..part.len()).contains(&known.count()));
+        }
+    }
+
+    #[test]
     fn fates_of_crowded_points_equal_the_quadratic_loop() {
         let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
         let points: Vec<Point> = (0..1500).map(|i| [2_654_435_761, 0x9e37_79b1, 40_503].map(|f| at(i, f))).collect();
