@@ -39,7 +39,7 @@ QUICK := -p snake-kernels -p snake-geometry -p snake-core -p snake-keypoints
 quick:  ## after every edit, three minutes: format, lints, kernels, core, command line
 	cargo fmt --check
 	cargo clippy --release --all-targets
-	cargo test --release $(QUICK) --lib -- --skip control::tests --skip tiles_of_any_size
+	cargo test --release $(QUICK) --lib -- --skip control::tests
 	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs::
 
 # All packages but one, whose features would change those of all others. The Python module by itself has the
@@ -118,8 +118,8 @@ sdist: $(VENV)/ready  # the source distribution of the Python module compiles by
 	cd target/sdist && tar -xmzf snake_rs-*.tar.gz
 	CARGO_TARGET_DIR=$(CURDIR)/target cargo check --release --manifest-path target/sdist/snake_rs-*/python/Cargo.toml
 
-golden: $(VENV)/ready  ## check the golden files against the PyTorch network
-	$(PYTHON) tests/golden/generate.py --check
+golden: $(VENV)/ready  ## check the golden files against the PyTorch networks
+	$(PYTHON) -m pytest -q training/tests/test_golden.py
 
 bench: module $(VENV)/bench-ready  ## speed beside PyTorch and OpenVINO
 	$(PYTHON) tests/bench/speed.py

@@ -34,15 +34,12 @@ def test_poses_and_parts(scans):
 
 def test_initial_poses_leave_out_what_contradicts_them(scans):
     clouds, poses = scans
-    truth = [np.linalg.inv(poses[0]), None, np.linalg.inv(poses[1])]
-    near = snake_rs.align(clouds, initial_poses=truth)
-    assert near.parts == [[0, 2], [1]] and near.contradictions == []
-    elsewhere = np.array(truth[2])
+    truth, elsewhere = map(np.linalg.inv, poses)
     elsewhere[:3, 3] += 0.5
-    far = snake_rs.align(clouds, initial_poses=[truth[0], None, elsewhere])
+    far = snake_rs.align(clouds, initial_poses=[truth, None, elsewhere])
     (at,) = far.contradictions
     assert far.parts == [[0], [1], [2]] and (at.source, at.target) == (2, 0) and at.distance > 0.8 > at.tolerance
-    assert snake_rs.align(clouds, initial_poses=[truth[0], None, elsewhere], pose_tolerance=2).parts == [[0, 2], [1]]
+    assert snake_rs.align(clouds, initial_poses=[truth, None, elsewhere], pose_tolerance=2).parts == [[0, 2], [1]]
 
 
 def test_bad_arguments_are_refused(scans):
@@ -51,18 +48,12 @@ def test_bad_arguments_are_refused(scans):
         snake_rs.align(clouds, initial_poses=[None])
     with pytest.raises(ValueError, match="initial_poses"):
         snake_rs.align(clouds, initial_poses=[None, None, np.eye(3)])
-    with pytest.raises(ValueError, match="2 to 500"):
-        snake_rs.align(clouds[:1])
     with pytest.raises(ValueError, match="cloud 1"):
         snake_rs.align([clouds[0], np.zeros((5, 3))])
-    with pytest.raises(ValueError, match="viewpoints"):
-        snake_rs.align(clouds, viewpoints=[None])
     # `align` refuses options that only `register` has.
     for option in ("hypotheses", "initial", "source_viewpoint"):
         with pytest.raises(TypeError, match=rf"align\(\) got an unexpected keyword argument '{option}'.*max_partners"):
             snake_rs.align(clouds, **{option: 3})
-    with pytest.raises(ValueError, match="max_partners"):
-        snake_rs.align(clouds, max_partners=0)
     with pytest.raises(TypeError, match="sharpness"):
         snake_rs.align(clouds, sharpness=3)
     assert snake_rs.align(clouds, max_partners=1, viewpoints=[(9, 9, 9), None, (9, 0, 0)], seed=3).num_pairs >= 2

@@ -1,6 +1,7 @@
 """Other programs read the keypoints of a city: LASzip and PDAL the LAZ."""
 
 import json
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -9,17 +10,7 @@ import numpy as np
 import pytest
 
 CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
-OPTIONS = [
-    "--model",
-    "scenes",
-    "--voxel-size",
-    "0.4",
-    "--nms-radius",
-    "0.5",
-    "--max-keypoints",
-    "5000",
-    "--quiet",
-]
+OPTIONS = shlex.split("--model scenes --voxel-size 0.4 --nms-radius 0.5 --max-keypoints 5000 --quiet")
 
 
 @pytest.fixture(scope="module")

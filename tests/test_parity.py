@@ -14,6 +14,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("snake_training")
 
 
+from safetensors.torch import load_file
+
 from snake_training import detection
 from snake_training import model as reference
 from snake_training.augment import normalize
@@ -130,6 +132,17 @@ def test_volume_and_values(pair):
 def test_the_built_in_weights_have_the_fields_of_pytorch():
     network = load_network(Path(__file__).parents[1] / "crates/snake-core/models/compact.safetensors")
     test_volume_and_values((network, snake_rs.Model.builtin("compact"), random_points(np.random.default_rng(7), 900)))
+
+
+def test_float16_exports_have_the_volume_of_pytorch(pair, tmp_path):
+    network, _, points = pair
+    path = tmp_path / "half.safetensors"
+    write_weights(path, network.config, network.state_dict(), torch.float16)
+    assert all(tensor.dtype == torch.float16 for tensor in load_file(path).values())
+    _, volume, full = both_fields(pair)
+    _, rounded, half = both_fields((load_network(path), snake_rs.Model.load(path), points))
+    assert np.abs(half.volume - rounded[0].numpy()).max() < 1e-4
+    assert 1e-5 < np.abs(half.volume - full.volume).max() < 0.1  # rounded, and not by much
 
 
 @pytest.mark.parametrize("quantity", ["occupancy", "saliency"])

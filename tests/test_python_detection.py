@@ -66,8 +66,6 @@ def test_unknown_options_raise_type_errors(model, field, points):
         field.detect(seed=1)
     with pytest.raises(TypeError, match=r"^encode\(\) got an unexpected keyword argument 'snap'"):
         model.encode(points, snap=True)
-    with pytest.raises(ValueError, match="no built-in model modelnet40"):
-        snake_rs.detect(points, "modelnet40")
 
 
 def test_the_warning_comes_before_a_long_detection():

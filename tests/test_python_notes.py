@@ -49,11 +49,11 @@ def las(path, points, classes):
     path.write_bytes(head + counts + struct.pack("<12d", *[0.001] * 3, *[0] * 3, *bounds) + records.tobytes())
 
 
-def mesh(path, huge):
-    """A box of triangles; with `huge` a triangle beside it that holds most of the area."""
-    corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)] + [[5, 0, 0], [500, 0, 0], [5, 500, 0]]
+def mesh(path):
+    """A box of triangles."""
+    corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    faces = [face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])] * 2 + [[8, 9, 10]] * huge
+    faces = [face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]
     lines = ["OFF", f"{len(corners)} {len(faces)} 0", *(" ".join(map(str, row)) for row in corners)]
     path.write_text("\n".join([*lines, *(f"3 {a} {b} {c}" for a, b, c in faces)]) + "\n")
 
@@ -66,7 +66,7 @@ def case(name, folder):
         las(path, thing(), np.where(np.arange(4000) % 10 == 0, 128 + 2, 2))
     elif name == "mesh":
         path = folder / "cloud.off"
-        mesh(path, huge=False)
+        mesh(path)
     else:
         clouds = {
             "plain": lambda: thing(),
@@ -150,12 +150,6 @@ def test_points_that_are_withheld_are_kept_on_demand(tmp_path):
     ]
     points, texts = warned(lambda: snake_rs.read_points(tmp_path / "a.las", keep_withheld=True))
     assert np.isfinite(points).all() and texts == []
-
-
-def test_a_huge_face_beside_a_mesh_is_named(tmp_path):
-    mesh(tmp_path / "a.off", huge=True)
-    _, texts = warned(lambda: snake_rs.read_points(tmp_path / "a.off", sample=500))
-    assert texts == ["one face holds 100 % of the mesh's surface, and so of the samples"]
 
 
 def test_a_pcd_of_map_coordinates_names_its_origin(tmp_path):

@@ -34,16 +34,8 @@ def test_the_clouds_of_a_recording_are_read_one_by_one():
 def test_recordings_that_cannot_be_read_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         snake_rs.read_recording(tmp_path / "none.mcap")
-    with pytest.raises(ValueError, match=r"a folder; .*ros2 bag convert"):
-        snake_rs.read_recording(tmp_path)
-    (tmp_path / "drive.db3").write_bytes(b"SQLite format 3")
-    with pytest.raises(ValueError, match=r"drive.db3: bags in SQLite are not read; .*ros2 bag convert"):
-        snake_rs.read_recording(tmp_path / "drive.db3")
     with pytest.raises(ValueError, match="no messages of the topic /other; topics with point clouds: /points"):
         snake_rs.read_recording(DATA / "drive.mcap", topic="/other")
-    (tmp_path / "bad.mcap").write_bytes(b"no recording")
-    with pytest.raises(ValueError, match=r"bad.mcap: "):
-        snake_rs.read_recording(tmp_path / "bad.mcap")
     # The clouds are whole, the end of the file is missing.
     (tmp_path / "cut.mcap").write_bytes((DATA / "drive.mcap").read_bytes()[:-20])
     recording = snake_rs.read_recording(tmp_path / "cut.mcap")

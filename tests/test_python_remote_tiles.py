@@ -1,20 +1,17 @@
 """Tiles of clouds behind URLs have the keypoints of the file on disk, and read a part of a COPC file only."""
 
-import contextlib
-import functools
-import http.server
 import pickle
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from test_python_tiles import OPTIONS, assert_equal
+from web_server import serving
 
 import snake_rs
 
 # 12 000 points on 40 by 40 m, see generate.py beside it.
 CITY = Path(__file__).parent / "data/tiles/city.copc.laz"
-OPTIONS = {"voxel_size": 0.4, "mode_radius": 0.6, "saliency_threshold": 0.01, "nms_radius": 0.5, "min_confidence": None}
 
 
 @pytest.fixture(scope="module")
@@ -24,58 +21,14 @@ def whole():
     return keypoints
 
 
-def assert_equal(found, whole):
-    for name, column in whole.to_dict().items():
-        assert np.array_equal(found.to_dict()[name], column), name
-
-
-class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serves files by ranges, and counts the bytes."""
-
-    def do_GET(self):
-        path = Path(self.translate_path(self.path))
-        if not path.is_file():
-            self.send_error(404)
-            return
-        if self.server.failures > 0:
-            self.server.failures -= 1
-            self.send_error(503)
-            return
-        content, wanted = path.read_bytes(), self.headers.get("Range")
-        if wanted and self.server.has_ranges:
-            begin, end = wanted.removeprefix("bytes=").split("-")
-            part = content[int(begin) : int(end) + 1]
-            self.send_response(206)
-            self.send_header("Content-Range", f"bytes {begin}-{int(begin) + len(part) - 1}/{len(content)}")
-        else:
-            part = content
-            self.send_response(200)
-        self.send_header("Accept-Ranges", "bytes")
-        self.send_header("Content-Length", str(len(part)))
-        self.end_headers()
-        self.server.served += len(part)
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            self.wfile.write(part)
-
-    def log_message(self, *_):
-        pass
-
-
 @pytest.fixture
 def server():
-    pytest.importorskip("aiohttp", reason="HTTP is not tested: pip install fsspec aiohttp")
-    pytest.importorskip("fsspec", reason="HTTP is not tested: pip install fsspec aiohttp")
-    handler = functools.partial(Handler, directory=str(CITY.parent))
-    running = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    running.served, running.has_ranges, running.failures = 0, True, 0
-    threading.Thread(target=running.serve_forever, daemon=True).start()
-    yield running
-    running.shutdown()
-    running.server_close()
+    with serving(CITY.parent, {}) as running:
+        yield running
 
 
 def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
-    url = f"http://127.0.0.1:{server.server_port}/city.copc.laz"
+    url = f"{server.url}/city.copc.laz"
     tiles = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     size = CITY.stat().st_size
     assert len(tiles) > 4
@@ -90,7 +43,7 @@ def test_a_tile_reads_a_part_of_a_copc_file_over_http(server, whole, tmp_path):
     copy = pickle.loads(pickle.dumps(tiles))
     for tile in range(len(tiles)):
         copy.detect(tile)
-    assert_equal(tiles.finish(), whole)
+    assert_equal(tiles.finish().to_dict(), whole)
     again = snake_rs.tiles(url, tile=13, folder=tmp_path / "tiles", model="scenes", **OPTIONS)
     assert all(again.is_detected(tile) for tile in range(len(again)))
 
@@ -100,18 +53,18 @@ def test_a_reply_that_may_pass_is_tried_again(server, tmp_path, monkeypatch):
 
     monkeypatch.setattr(_remote, "_PAUSES", (0.01, 0.01, 0.01))
     given = {"tile": 40, "folder": tmp_path / "tiles", "model": "scenes", **OPTIONS}
-    server.failures = 2
-    tiles = snake_rs.tiles(f"http://127.0.0.1:{server.server_port}/city.copc.laz", **given)
-    server.failures = 3
+    failures = server.failures["city.copc.laz"] = [503] * 2
+    tiles = snake_rs.tiles(f"{server.url}/city.copc.laz", **given)
+    failures += [503] * 3
     tiles.detect(0)
-    assert server.failures == 0
-    server.failures = 100
+    assert failures == []
+    failures += [503] * 99
     with pytest.raises(OSError, match="503"):
-        snake_rs.tiles(f"http://127.0.0.1:{server.server_port}/city.copc.laz", **given)
+        snake_rs.tiles(f"{server.url}/city.copc.laz", **given)
 
 
 def test_mistakes_of_servers_are_errors(server, tmp_path):
-    url = f"http://127.0.0.1:{server.server_port}"
+    url = server.url
     options = {"tile": 13, "folder": tmp_path / "tiles", "model": "scenes", **OPTIONS}
     with pytest.raises(FileNotFoundError):
         snake_rs.tiles(f"{url}/missing.copc.laz", **options)
@@ -131,7 +84,7 @@ def test_tiles_lie_in_object_storage(whole, object_storage, tmp_path):
     assert not (tmp_path / "tiles/.snake-rs.inputs.part").exists()
     for tile in range(len(tiles)):
         pickle.loads(pickle.dumps(tiles)).detect(tile)
-    assert_equal(tiles.finish(), whole)
+    assert_equal(tiles.finish().to_dict(), whole)
 
     # A folder, here of one file beside a text.
     files.put_file(str(CITY), "clouds/city/part.copc.laz")

@@ -1,13 +1,10 @@
 """Functions that Ray maps over rows, without a cluster: a row's error stays its own, and a temporary fault is tried again."""
 
-import contextlib
-import http.server
-import io
 import sys
-import threading
 
 import numpy as np
 import pytest
+from web_server import serving
 
 import snake_rs
 
@@ -35,40 +32,14 @@ def cloud():
 
 
 @pytest.fixture(scope="module")
-def server(cloud):
-    """A web server: /N-NAME.npy fails N times before it is there, with 503; /404.npy, /500.npy and /403.npy always."""
-    content = io.BytesIO()
-    np.save(content, cloud)
-    failures = {}
-
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            name = self.path.strip("/").removesuffix(".npy")
-            if name in ("403", "404", "500"):
-                self.send_error(int(name))
-                return
-            number = failures.setdefault(name, int(name.split("-")[0]))
-            if number > 0:
-                failures[name] = number - 1
-                self.send_error(503)
-                return
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(content.getvalue())))
-            self.end_headers()
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-                self.wfile.write(content.getvalue())
-
-        do_HEAD = do_GET
-
-        def log_message(self, *_):
-            pass
-
-    pytest.importorskip("aiohttp", reason="HTTP is not tested: pip install fsspec aiohttp")
-    running = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=running.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{running.server_port}"
-    running.shutdown()
-    running.server_close()
+def server(cloud, tmp_path_factory):
+    """A web server: later.npy fails twice before it is there, and never.npy, 403.npy and 500.npy always."""
+    folder = tmp_path_factory.mktemp("web")
+    for name in ("good", "later", "never"):
+        np.save(folder / f"{name}.npy", cloud)
+    always = {f"{status}.npy": [status] * 99 for status in (403, 500)}
+    with serving(folder, {"later.npy": [503] * 2, "never.npy": [503] * 99, **always}) as running:
+        yield running.url
 
 
 def test_each_bad_row_has_its_own_error(server, cloud, tmp_path, monkeypatch):
@@ -79,8 +50,8 @@ def test_each_bad_row_has_its_own_error(server, cloud, tmp_path, monkeypatch):
     (tmp_path / "bad.npy").write_bytes(b"no array")
     rows = {
         str(tmp_path / "good.npy"): None,
-        f"{server}/0-good.npy": None,
-        f"{server}/2-later.npy": None,
+        f"{server}/good.npy": None,
+        f"{server}/later.npy": None,
         None: "the path is null",
         "": "",
         str(tmp_path / "missing.npy"): "FileNotFoundError",
@@ -89,7 +60,7 @@ def test_each_bad_row_has_its_own_error(server, cloud, tmp_path, monkeypatch):
         f"{server}/404.npy": "FileNotFoundError",
         f"{server}/403.npy": "403",
         f"{server}/500.npy": "500",
-        f"{server}/9-never.npy": "503",
+        f"{server}/never.npy": "503",
         "http://127.0.0.1:9/refused.npy": "127.0.0.1",
         "s3://bucket/cloud.npy": "s3fs",
         "nothing://bucket/cloud.npy": "nothing",

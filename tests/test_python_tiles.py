@@ -91,8 +91,6 @@ def test_limits_lists_of_paths_and_missing_tiles(city, whole, tmp_path):
     [
         ({"tile": 0}, ValueError, "tile"),
         ({"model": "compact"}, ValueError, "scenes"),
-        ({"snap": True}, ValueError, "snap"),
-        ({"mode_radius": "5%"}, ValueError, "mode_radius"),
         ({"paths": "missing.laz"}, FileNotFoundError, "missing.laz"),
         ({"colour": 1}, TypeError, "colour"),
     ],

@@ -6,24 +6,24 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MAX_LINES = {
-    "crates/snake-capi": 903,
-    "crates/snake-cli": 6572,
-    "crates/snake-core": 12044,
-    "crates/snake-detectors": 1299,
-    "crates/snake-geometry": 5447,
-    "crates/snake-io": 10741,
+    "crates/snake-capi": 887,
+    "crates/snake-cli": 6388,
+    "crates/snake-core": 11629,
+    "crates/snake-detectors": 1242,
+    "crates/snake-geometry": 5380,
+    "crates/snake-io": 10557,
     "crates/snake-kernels": 2976,
-    "crates/snake-registration": 11611,
-    "crates/snake-tiles": 1856,
+    "crates/snake-registration": 11446,
+    "crates/snake-tiles": 1855,
     "crates/snake-view": 575,
     "docs": 423,
     "examples": 500,
     "fuzz": 79,
-    "python": 4613,
+    "python": 4539,
     "samples": 96,
-    "tests": 5757,
+    "tests": 5058,
     "tools": 267,
-    "training": 13059,
+    "training": 13072,
 }
 
 

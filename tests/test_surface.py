@@ -68,6 +68,11 @@ def test_a_mesh_is_three_arrays(field):
     assert mesh.vertices.dtype == mesh.normals.dtype == np.float32
     assert mesh.triangles.dtype == np.uint32 and mesh.triangles.max() == len(mesh.vertices) - 1
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
+    # Triangles and their normals face out.
+    mesh = field.mesh(resolution=64, surface="level")
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    outwards = (np.cross(b - a, c - a)[:, None] * mesh.normals[mesh.triangles]).sum(axis=2)
+    assert (outwards.min(axis=1) > 0).mean() > 0.9
     assert repr(mesh) == f"Mesh({len(mesh.vertices)} vertices, {len(mesh.triangles)} triangles)"
     again = pickle.loads(pickle.dumps(mesh))
     assert all(

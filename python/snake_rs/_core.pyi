@@ -10,57 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self, Unpack
 
-__all__ = [
-    "Alignment",
-    "CloudReport",
-    "Contradiction",
-    "DetectedTiles",
-    "Edge",
-    "Field",
-    "Fit",
-    "FrameDetector",
-    "Hypothesis",
-    "Keypoint",
-    "Keypoints",
-    "Matches",
-    "Mesh",
-    "Model",
-    "Pose",
-    "PreparedMap",
-    "RecordedCloud",
-    "Recording",
-    "Registration",
-    "Tiles",
-    "Verdict",
-    "__version__",
-    "aggregate",
-    "align",
-    "decode",
-    "detect",
-    "estimate_normals",
-    "farthest_points",
-    "fpfh",
-    "get_num_threads",
-    "harris3d",
-    "interpolate",
-    "interpolate_gradient",
-    "iss",
-    "match",
-    "page",
-    "random_points",
-    "read_points",
-    "read_recording",
-    "refine",
-    "register",
-    "run_command",
-    "scene_signs",
-    "set_num_threads",
-    "sift3d",
-    "suppress",
-    "surface_variation",
-    "tiles",
-]
-
 __version__: str
 
 @type_check_only
@@ -370,18 +319,12 @@ class Keypoint:
         confidence: float | None,
         covariance: NDArray[np.float32],
     ) -> Self: ...
-    @property
-    def position(self) -> NDArray[Any]: ...
-    @property
-    def saliency(self) -> float: ...
-    @property
-    def occupancy(self) -> float: ...
-    @property
-    def nearest_index(self) -> int: ...
-    @property
-    def confidence(self) -> float | None: ...
-    @property
-    def covariance(self) -> NDArray[np.float32]: ...
+    position: Final[NDArray[Any]]
+    saliency: Final[float]
+    occupancy: Final[float]
+    nearest_index: Final[int]
+    confidence: Final[float | None]
+    covariance: Final[NDArray[np.float32]]
 
 @final
 class Keypoints:
@@ -401,32 +344,19 @@ class Keypoints:
         voxel_size: float | None = None,
         notes: list[str] = ...,
     ) -> Self: ...
-    @property
-    def descriptors(self) -> NDArray[np.float32]: ...
-    @property
-    def points(self) -> _Positions: ...
-    @property
-    def saliency(self) -> NDArray[np.float32]: ...
-    @property
-    def occupancy(self) -> NDArray[np.float32]: ...
-    @property
-    def nearest_index(self) -> NDArray[np.int64]: ...
-    @property
-    def confidence(self) -> NDArray[np.float32]: ...
-    @property
-    def covariance(self) -> NDArray[np.float32]: ...
-    @property
-    def num_skipped(self) -> int: ...
-    @property
-    def counts(self) -> dict[str, int]: ...
-    @property
-    def timing_seconds(self) -> dict[str, float]: ...
-    @property
-    def model(self) -> str | None: ...
-    @property
-    def voxel_size(self) -> float | None: ...
-    @property
-    def notes(self) -> list[str]: ...
+    descriptors: Final[NDArray[np.float32]]
+    points: Final[_Positions]
+    saliency: Final[NDArray[np.float32]]
+    occupancy: Final[NDArray[np.float32]]
+    nearest_index: Final[NDArray[np.int64]]
+    confidence: Final[NDArray[np.float32]]
+    covariance: Final[NDArray[np.float32]]
+    num_skipped: Final[int]
+    counts: Final[dict[str, int]]
+    timing_seconds: Final[dict[str, float]]
+    model: Final[str | None]
+    voxel_size: Final[float | None]
+    notes: Final[list[str]]
     def to_open3d(self) -> Any: ...
     def to_dict(self) -> dict[str, NDArray[Any]]: ...
     def save(self, path: _Path) -> None: ...

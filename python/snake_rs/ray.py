@@ -60,13 +60,7 @@ _TRANSFORM = [
     pa.field("is_reliable", pa.bool_()),
 ]
 _ERROR = pa.field("error", pa.string())
-_RANK = {
-    "rank": "descending",
-    "start": "descending",
-    "cell_z": "ascending",
-    "cell_y": "ascending",
-    "cell_x": "ascending",
-}
+_RANK = [("rank", "descending"), ("start", "descending"), *((f"cell_{axis}", "ascending") for axis in "zyx")]
 
 
 def _use_own_cpus() -> None:
@@ -286,5 +280,5 @@ def keypoints_of_tiles(tiles: Tiles, concurrency: int = 1, num_cpus: float = 1) 
         raise ValueError(f"{len(failed)} of {len(tiles)} tiles failed: {reasons}")
     references: Any = over_tiles(TileKeypoints, 4).to_arrow_refs()
     parts: list[pa.Table] = ray.get(references)
-    table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by([*_RANK.items()])
-    return table.drop_columns(list(_RANK)).slice(0, tiles.max_keypoints)
+    table = pa.concat_tables(part for part in parts if part.num_rows > 0 or len(parts) == 1).sort_by(_RANK)
+    return table.drop_columns([name for name, _ in _RANK]).slice(0, tiles.max_keypoints)

@@ -196,7 +196,9 @@ mod _core {
         // Reading an option tries every type that it can have, also those of numpy.
         super::options::json(points.as_any(), 0);
         snake_core::SimdLevel::current();
-        super::records::add_classes(module)
+        super::records::add_classes(module)?;
+        // The stub has the names; the public ones are in `snake_rs.__all__`.
+        module.delattr("__all__")
     }
 
     #[pymodule_export]

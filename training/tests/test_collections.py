@@ -124,13 +124,6 @@ def test_a_bad_file_is_a_clear_error_with_its_name(tmp_path, name, content, mess
     assert name in str(error.value)
 
 
-def test_folders_without_shapes_say_so(tmp_path):
-    with pytest.raises(ValueError, match="neither points.npy"):
-        open_shapes(tmp_path)
-    with pytest.raises(ValueError, match="no such folder"):
-        open_shapes(tmp_path / "absent")
-
-
 class Named:
     """Shapes that are their own name."""
 

@@ -1,4 +1,4 @@
-"""Whole evaluations of tiny data, and refusals. `test_official` runs each of the paper's layouts."""
+"""Whole evaluations of tiny data, and refusals. `test_reproduce` runs each of the paper's layouts."""
 
 import json
 import subprocess

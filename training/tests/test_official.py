@@ -1,4 +1,4 @@
-"""Each official layout in miniature: training by its list, export, and evaluation by snake-rs."""
+"""The official layouts in miniature. `test_reproduce` trains on them and evaluates."""
 
 import json
 import shutil
@@ -7,42 +7,10 @@ import numpy as np
 import pytest
 
 from conftest import FOLDER
-from snake_training.command_line import parse_arguments
 from snake_training.data import ShapeError, open_all, open_shapes
 from snake_training.data.official import Bodies, clouds_below
-from snake_training.evaluation.__main__ import evaluate
-from snake_training.export import main as export
-from snake_training.train import train
 
 SMPL = FOLDER / "tests/data/smpl"
-TINY = [
-    "--resolution",
-    "8",
-    "--unet-levels",
-    "2",
-    "--unet-base-channels",
-    "8",
-    "--num-points",
-    "64",
-    "--num-occupancy",
-    "16",
-    "--num-grids",
-    "4",
-    "--grid-size",
-    "3",
-    "--batch",
-    "1",
-    "--steps",
-    "2",
-    "--validate-every",
-    "100",
-    "--validation-objects",
-    "1",
-    "--validation-resolution",
-    "6",
-    "--device",
-    "cpu",
-]
 
 
 def shape(seed, points=300):
@@ -182,37 +150,6 @@ def official_folder(data):
     fragments(data / "3DMatch_eval_downsample")
     described(data / "3DMatch_eval_downsample/scene", data / "d3feat/scene")
     return data
-
-
-CASES = [
-    ("keypointnet", keypointnet, 2, lambda root, data: ["semantic", data, "--split", root / "data/train.txt"]),
-    ("modelnet40", modelnet40, 2, lambda root, data: ["repeatability", root / "data/modelnet40-test_rotated_numpy"]),
-    ("smpl", smpl, 1000, lambda root, data: ["semantic", data]),
-    ("redwood", match3d, 2, lambda root, data: ["repeatability", root / "data/redwood"]),
-    ("3dmatch", keypointnet, 2, lambda root, data: ["registration", fragments(root / "3DMatch_eval_downsample")]),
-]
-
-
-# One of each kind of evaluation daily.
-NIGHTLY = ("smpl", "redwood")
-PARAMETERS = [
-    pytest.param(*case, id=case[0], marks=[pytest.mark.nightly] if case[0] in NIGHTLY else []) for case in CASES
-]
-
-
-@pytest.mark.parametrize(("preset", "make", "number", "evaluation"), PARAMETERS)
-def test_a_layout_trains_exports_and_evaluates(tmp_path, preset, make, number, evaluation):
-    data, split = make(tmp_path / "data")
-    words = ["--preset", preset, "--data", str(data), *(["--split", str(split)] if split else []), *TINY]
-    config, *_ = parse_arguments([*words, "--run-dir", str(tmp_path / "run")], "")
-    assert len(open_all(config.data, config.split)[0]) == number
-    train(config)
-    weights = tmp_path / "weights.safetensors"
-    export([str(tmp_path / "run"), "-o", str(weights)])
-    words = [*evaluation(tmp_path, data), "--methods", f"{weights}:query_resolution=12", "random", "--limit", "2"]
-    table = evaluate(list(map(str, words)))
-    methods = {method.partition(":")[0].removesuffix(" fpfh") for method in table["method"]}
-    assert methods == {str(weights), "random"} and table["value"].notna().any()
 
 
 def test_a_list_gives_the_shapes_in_its_order(tmp_path):

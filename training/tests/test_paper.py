@@ -20,18 +20,8 @@ def data(tmp_path_factory):
 
 def words(data, run_dir, snake_cli, *more):
     """A command line with next to no work."""
-    return [
-        *more,
-        "--data",
-        str(data),
-        "--run-dir",
-        str(run_dir),
-        "--snake-cli",
-        snake_cli.path,
-        "--smoke",
-        "--device",
-        "cpu",
-    ]
+    folders = ["--data", str(data), "--run-dir", str(run_dir), "--snake-cli", snake_cli.path]
+    return [*more, *folders, "--smoke", "--device", "cpu"]
 
 
 def test_tables_share_their_networks_and_go_on_where_they_stopped(data, tmp_path, snake_cli, capsys, monkeypatch):

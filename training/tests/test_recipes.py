@@ -129,10 +129,7 @@ def test_other_settings_than_those_of_the_results_are_refused(run_dir, tmp_path)
     (tmp_path / "other.toml").write_text(text.replace("steps = 6000", "steps = 6001"))
     with pytest.raises(ValueError, match="corners was made with other settings"):
         Recipe(tmp_path / "other.toml", run_dir, smoke=True).run()
-
-
-def test_a_smoke_is_not_taken_for_the_real_run(run_dir):
-    with pytest.raises(ValueError, match="crops was made with other settings"):
+    with pytest.raises(ValueError, match="crops was made with other settings"):  # a smoke is not the real run
         Recipe(RECIPES / "scenes.toml", run_dir).run()
 
 

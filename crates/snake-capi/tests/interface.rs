@@ -1,11 +1,10 @@
-//! The C interface from Rust: results are those of the core, and bad arguments are errors.
+//! The C interface from Rust: what it takes, and which arguments are errors. `tests/test_choice.py` compares its results.
 
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, CString};
 use std::ptr::{null, null_mut};
 
-use snake_core::Model;
 use snake_rs::*;
 
 fn torus() -> Vec<[f32; 3]> {
@@ -56,16 +55,10 @@ fn detect(
 }
 
 #[test]
-fn keypoints_are_those_of_the_core_packed_and_padded() {
+fn keypoints_of_packed_and_of_padded_points_are_the_same() {
     let (points, model) = (torus(), compact());
-    let core_model = Model::named("compact").unwrap();
-    let expected = core_model.detect(&points, core_model.recommended()).unwrap();
     let keypoints = detect(model, packed(&points), None).unwrap();
-    assert!(keypoints.len() > 3 && keypoints.len() == expected.keypoints.len());
-    for (keypoint, expected) in keypoints.iter().zip(&expected.keypoints) {
-        assert_eq!((keypoint.position, keypoint.saliency), (expected.position, expected.saliency));
-        assert_eq!((keypoint.occupancy, keypoint.nearest_index), (expected.occupancy, expected.nearest_index));
-    }
+    assert!(keypoints.len() > 3);
     let wide: Vec<[f32; 4]> = points.iter().map(|[x, y, z]| [*x, *y, *z, f32::NAN]).collect();
     let padded = SnakeCloud { points: wide.as_ptr().cast(), num_points: wide.len(), stride: 4 };
     assert_eq!(detect(model, padded, None).unwrap(), keypoints);
@@ -149,16 +142,7 @@ fn clouds_are_registered() {
     // A quarter turn about z, and a shift. The dent tells the directions apart.
     let dented: Vec<[f32; 3]> = points.iter().map(|&[x, y, z]| [x, y, z + (x - 0.4 * y).max(0.5)]).collect();
     let target: Vec<[f32; 3]> = dented.iter().map(|&[x, y, z]| [3.0 - y, x, z]).collect();
-    let mut registration = SnakeRegistration {
-        t_target_source: [0.0; 16],
-        confidence: -1.0,
-        is_reliable: false,
-        is_ambiguous: false,
-        num_matches: 0,
-        num_inliers: 0,
-        fitness: 0.0,
-        fitness_rmse: 0.0,
-    };
+    let mut registration: SnakeRegistration = unsafe { std::mem::zeroed() };
     let before = registration;
     let register = |source, target, options: *const _, registration: &mut _| unsafe {
         snake_register(null(), source, target, options, registration)

@@ -305,6 +305,7 @@ mod tests {
             error(&["0.bin", "1.bin"]).contains("2 other files: 0.bin, 1.bin; .bin files need --input-format kitti")
         );
         assert!(error(&["a.mcap", "b.bin"]).contains("a recording is an input of its own: "));
+        assert!(error(&["metadata.yaml", "old.db3"]).contains("ros2 bag convert -i FOLDER"));
         assert!(error(&[]).contains("**/*.ply'"));
         let many: Vec<String> = (0..12).map(|number| format!("{number:02}.md")).collect();
         let many: Vec<&str> = many.iter().map(String::as_str).collect();

@@ -155,46 +155,4 @@ mod tests {
         // The boundary of the radius is outside: without the points at 3 the cloud is flat.
         assert_eq!(score(&IssOptions { salient_radius: Length::Units(3.0), ..options }), None);
     }
-
-    /// A number in [0, 1) from a whole number (SplitMix64).
-    fn uniform(number: u64) -> f64 {
-        let mut z = number.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// The clouds of `tests/test_baselines.py`, to the last bit.
-    fn noisy_box(seed: u64) -> Vec<Point> {
-        let point = |i: u64| {
-            let u: [f64; 8] = std::array::from_fn(|k| uniform(8 * i + k as u64));
-            let mut unit = [u[0], u[1], u[2]];
-            unit[(u[3] * 3.0) as usize] = if u[4] < 0.5 { 1.0 } else { 0.0 };
-            std::array::from_fn(|axis| (unit[axis] * [1.0, 1.7, 2.9][axis] + 0.04 * u[5 + axis]) as f32)
-        };
-        (1000 * seed..1000 * (seed + 1)).map(point).collect()
-    }
-
-    #[test]
-    fn the_keypoints_are_those_of_open3d() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/iss_open3d.json");
-        let expected: Vec<Vec<usize>> = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
-        let mut without_ties = 0;
-        for (seed, expected) in (0..).zip(expected) {
-            let keypoints = iss(&noisy_box(seed), &IssOptions::default()).unwrap();
-            // Among keypoints of equal saliency Open3D's rounding keeps one.
-            let tie = |a: &Response, b: &Response| (a.score / b.score - 1.0).abs() < 1e-9;
-            let (same, extra): (Vec<_>, Vec<_>) = keypoints.iter().partition(|r| expected.contains(&r.index));
-            assert_eq!(same.len(), expected.len(), "cloud {seed}");
-            assert!(extra.iter().all(|e| same.iter().any(|s| tie(e, s))), "cloud {seed}");
-            without_ties += usize::from(extra.is_empty());
-        }
-        assert!(without_ties >= 20, "{without_ties}");
-    }
-
-    #[test]
-    fn flat_clouds_have_no_keypoints() {
-        let plane = |i: u32| [(i % 30) as f32 * 0.1, (i / 30) as f32 * 0.13, 7.7];
-        assert_eq!(iss(&(0..900).map(plane).collect::<Vec<_>>(), &IssOptions::default()).unwrap(), []);
-    }
 }

@@ -70,21 +70,6 @@ fn harris_of_the_paper_is_random_and_its_sift_is_of_y() {
 }
 
 #[test]
-fn every_detector_gives_different_indices_by_falling_score() {
-    let points = cube(12);
-    for &detector in Detector::CLASSICAL {
-        let keypoints = detector.keypoints(&points, 20, Protocol::Ranked, 0).unwrap();
-        assert!(!keypoints.is_empty() && keypoints.len() <= 20, "{detector:?}");
-        assert!(keypoints.windows(2).all(|pair| pair[0].score >= pair[1].score), "{detector:?}");
-        let mut indices: Vec<_> = keypoints.iter().map(|response| response.index).collect();
-        indices.sort_unstable();
-        indices.dedup();
-        assert_eq!(indices.len(), keypoints.len(), "{detector:?}");
-        assert!(indices.iter().all(|&index| index < points.len()));
-    }
-}
-
-#[test]
 fn threads_do_not_matter() {
     let points = cube(12);
     let run = |threads: usize| {

@@ -2,13 +2,20 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 mod messages;
 
 use mcap::records::MessageHeader;
 use messages::{SCHEMA, encoded_points};
 use snake_io::{Error, RecordedCloud, read_recording};
+
+/// The path of a recording, in a folder that lasts as long as it is held.
+fn drive() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    (folder, path)
+}
 
 /// A message of ROS 2 with the points `(1, 2, 3)` and `(4, 5, NaN)`, each with a ring before it.
 fn message() -> Vec<u8> {
@@ -45,8 +52,7 @@ fn clouds_and_errors(path: &Path) -> (usize, Vec<String>) {
 
 #[test]
 fn the_clouds_of_a_topic_are_read_in_order() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     record(
         &path,
         &[("/points", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![]), ("/points", SCHEMA, message())],
@@ -61,8 +67,7 @@ fn the_clouds_of_a_topic_are_read_in_order() {
 
 #[test]
 fn other_topics_and_damaged_messages_are_refused_by_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     let error = |topic| read(&path, topic).unwrap_err().to_string();
     record(&path, &[("/a", SCHEMA, message()), ("/b", SCHEMA, message()), ("/pose", "geometry_msgs/msg/Pose", vec![])]);
     assert!(error(None).contains("/a, /b"));
@@ -79,8 +84,7 @@ fn other_topics_and_damaged_messages_are_refused_by_name() {
 
 #[test]
 fn recordings_of_ros_1_are_read() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     record(&path, &[("/velodyne", "sensor_msgs/PointCloud2", encoded(false))]);
     let messages = read(&path, None).unwrap();
     assert_eq!(
@@ -96,8 +100,7 @@ fn recordings_of_ros_1_are_read() {
 
 #[test]
 fn a_recording_without_clouds_names_its_topics() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     let error = |topic| read(&path, topic).unwrap_err().to_string();
     record(&path, &[("/pose", "geometry_msgs/msg/Pose", vec![]), ("/imu", "sensor_msgs/msg/Imu", vec![])]);
     let expected = "no topic has point clouds (sensor_msgs/PointCloud2); topics: /pose (geometry_msgs/msg/Pose), /imu \
@@ -109,37 +112,27 @@ fn a_recording_without_clouds_names_its_topics() {
 
 #[test]
 fn damaged_files_give_an_error_or_whole_clouds() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     record(&path, &[("/a", SCHEMA, message()), ("/a", SCHEMA, message())]);
     let whole = std::fs::read(&path).unwrap();
     for length in (0..whole.len()).step_by(3) {
         std::fs::write(&path, &whole[..length]).unwrap();
         assert!(read(&path, None).is_err(), "{length}");
     }
-    for place in 0..whole.len() {
+    // Of the lengths of all records the largest number would overflow.
+    for (length, place) in (0..whole.len() - 8).flat_map(|place| [(1, place), (8, place)]) {
         let mut bytes = whole.clone();
-        bytes[place] ^= 0xff;
+        bytes[place..place + length].iter_mut().for_each(|byte| *byte = if length == 1 { !*byte } else { 0xff });
         std::fs::write(&path, &bytes).unwrap();
         if let Ok(found) = read(&path, None) {
-            assert!(found.len() <= 2, "{place}");
-        }
-    }
-    // The lengths of all records, of which the largest number would overflow.
-    for place in 0..whole.len() - 8 {
-        let mut bytes = whole.clone();
-        bytes[place..place + 8].fill(0xff);
-        std::fs::write(&path, &bytes).unwrap();
-        if let Ok(found) = read(&path, None) {
-            assert!(found.len() <= 2, "{place}");
+            assert!(found.len() <= 2, "{length} bytes at {place}");
         }
     }
 }
 
 #[test]
 fn a_damaged_message_costs_no_other() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     let (good, short) = (("/a", SCHEMA, message()), ("/a", SCHEMA, message()[..90].to_vec()));
     record(&path, &[short.clone(), good.clone(), short, good.clone(), good]);
     let (number, errors) = clouds_and_errors(&path);
@@ -207,8 +200,7 @@ fn chunks_of_the_usual_programs_are_read() {
     let [zstd, lz4] = ["drive.mcap", "drive_lz4.mcap"].map(|name| read(&data.join(name), None).unwrap());
     assert_eq!((zstd.len(), zstd[0].cloud.points.len()), (2, 1000));
     assert_eq!(zstd, lz4);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     let clouds = COMPRESSIONS.map(|compression| {
         in_chunks(&path, compression, 300, |_| message());
         format!("{:?}", read(&path, None).unwrap())
@@ -224,8 +216,7 @@ fn chunks_of_the_usual_programs_are_read() {
 
 #[test]
 fn a_cut_file_has_the_clouds_before_the_cut() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     for compression in COMPRESSIONS {
         in_chunks(&path, compression, 300, |_| message());
         let whole = std::fs::read(&path).unwrap();
@@ -260,8 +251,7 @@ fn end_of_chunk(bytes: &[u8], number: usize) -> usize {
 
 #[test]
 fn a_damaged_chunk_costs_its_own_messages_only() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     for compression in COMPRESSIONS {
         in_chunks(&path, compression, 300, |_| message());
         let mut bytes = std::fs::read(&path).unwrap();
@@ -279,8 +269,7 @@ fn a_damaged_chunk_costs_its_own_messages_only() {
 
 #[test]
 fn messages_in_the_second_version_of_cdr_and_names_of_dds_are_read() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     let expected = {
         record(&path, &[("/a", SCHEMA, message())]);
         format!("{:?}", read(&path, None).unwrap())
@@ -309,8 +298,7 @@ fn messages_in_the_second_version_of_cdr_and_names_of_dds_are_read() {
 
 #[test]
 fn topics_that_can_become_clouds_say_how() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("drive.mcap");
+    let (_folder, path) = drive();
     for (schema, expected) in [
         ("livox_ros_driver2/msg/CustomMsg", "xfer_format: 0"),
         ("velodyne_msgs/msg/VelodyneScan", "play the recording to its driver"),

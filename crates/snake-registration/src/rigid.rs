@@ -117,6 +117,11 @@ pub(crate) mod tests {
         IsometryMatrix3::from_parts(translation, quaternion.to_rotation_matrix())
     }
 
+    /// The points of samples/plane.ply.
+    pub(crate) fn sample() -> Vec<Point> {
+        snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
+    }
+
     pub(crate) fn random_points(rng: &mut ChaCha8Rng, count: usize) -> Vec<Point> {
         (0..count).map(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))).collect()
     }

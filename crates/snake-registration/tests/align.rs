@@ -7,24 +7,18 @@ use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
 use snake_registration::{AlignOptions, AlignPriors, Alignment, Contradiction, RegisterOptions, align, align_with};
 
-use self::scenes::{Scene, street};
+use self::scenes::{Scene, lidar, street};
 
 mod scenes;
 
 /// Sweeps of a LiDAR with 32 beams at these places of a street, and its poses.
 fn sweeps(places: &[f64], seed: u64) -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
+    let rays = lidar(32, 720, -0.43, 0.05);
     let (scene, mut rng) = (street(&mut ChaCha8Rng::seed_from_u64(seed)), ChaCha8Rng::seed_from_u64(seed + 100));
     let sweep = |x: &f64| {
         let place = Vector3::new(*x, rng.random_range(-1.5..1.5), 1.8);
         let pose = IsometryMatrix3::new(place, Vector3::z() * rng.random_range(-3.1..3.1));
-        let beam = |i: i32| {
-            let elevation = -0.43 + f64::from(i / 720) * 0.48 / 31.0;
-            let azimuth = f64::from(i % 720).to_radians() / 2.0;
-            let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
-            let range = scene.range(place.into(), (pose.rotation * ray).into()) + 0.02 * rng.random_range(-1.7..1.7);
-            (range < 80.0).then(|| (ray * range).map(|v| v as f32).into())
-        };
-        ((0..32 * 720).filter_map(beam).collect(), pose)
+        (scene.scan(&pose, &rays, 80.0, 0.02, &mut rng), pose)
     };
     places.iter().map(sweep).unzip()
 }
@@ -80,19 +74,12 @@ fn storeys() -> (Vec<Vec<Point>>, Vec<IsometryMatrix3<f64>>) {
         [[5.5, -3.8, 0.0], [6.8, -3.0, 2.1]],
     ];
     let house = Scene { boxes: boxes.to_vec(), ..Default::default() };
+    let rays = lidar(101, 240, -1.5, 1.5);
     let scan = |storey: u32| {
         let place = Vector3::new(rng.random_range(-0.5..0.5), rng.random_range(-0.3..0.8), 1.5);
         let heading = Vector3::z() * rng.random_range(-3.1..3.1);
         let in_storey = IsometryMatrix3::new(place, heading);
-        let beam = |i: u32| {
-            let (elevation, azimuth) =
-                ((f64::from(i / 240) - 50.0) * 0.03, f64::from(i % 240) * std::f64::consts::TAU / 240.0);
-            let ray = Vector3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
-            let range =
-                house.range(place.into(), (in_storey.rotation * ray).into()) + 0.005 * rng.random_range(-1.7..1.7);
-            (ray * range).map(|v| v as f32).into()
-        };
-        let points = (0..101 * 240).map(beam).collect();
+        let points = house.scan(&in_storey, &rays, f64::INFINITY, 0.005, &mut rng);
         (points, IsometryMatrix3::new(place + Vector3::z() * 3.0 * f64::from(storey), heading))
     };
     (0..3).map(scan).unzip()

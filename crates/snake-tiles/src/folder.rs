@@ -32,10 +32,8 @@ pub(crate) struct RunFolder {
 }
 
 impl RunFolder {
-    /// A folder for the run of this id. Nothing is written before [`RunFolder::mark`].
-    ///
-    /// # Errors
-    /// [`Error::Refused`] for a folder with another run, or with files that no run wrote.
+    /// A folder for the run of this id; one with another run, or with files that no run wrote, is refused. Nothing is written
+    /// before [`RunFolder::mark`].
     pub(crate) fn new(path: &Path, id: String) -> Result<Self> {
         let folder = Self { path: std::path::absolute(path).map_err(Error::file(path))?, id };
         folder.refuse_others().map(|_| folder)
@@ -87,10 +85,7 @@ impl RunFolder {
         if self.has(PLAN) { Ok(()) } else { Err(Error::removed(&self.path)) }
     }
 
-    /// The path of a file of the run.
-    ///
-    /// # Errors
-    /// [`Error::Refused`] when a link is in its place, which would lead out of the folder.
+    /// The path of a file of the run; a link in its place is refused: it would lead out of the folder.
     fn own(&self, name: &str) -> Result<PathBuf> {
         let path = self.path.join(name);
         let is_linked = path.ancestors().take_while(|path| *path != self.path).any(Path::is_symlink);
@@ -117,10 +112,7 @@ impl RunFolder {
             .map_err(Error::file(&path))
     }
 
-    /// Reads what [`RunFolder::write`] wrote.
-    ///
-    /// # Errors
-    /// [`Error::Damaged`] without the run's id at the end, as of a file that someone has cut short.
+    /// Reads what [`RunFolder::write`] wrote: it is damaged without the run's id at the end, as when someone has cut it short.
     pub(crate) fn read(&self, name: &str) -> Result<Vec<u8>> {
         let path = self.path.join(name);
         let bytes = fs::read(&path).map_err(Error::file(&path))?;

@@ -333,10 +333,8 @@ impl Extent {
     /// Refuses a cloud without extent.
     pub(crate) fn checked(self) -> Result<Self> {
         if (0..3).all(|axis| self.bounds.low[axis] >= self.bounds.high[axis]) {
-            return Err(Error::Refused {
-                what: "inputs",
-                reason: "a cloud needs at least two different points".into(),
-            });
+            let reason = "a cloud needs at least two different points".into();
+            return Err(Error::Refused { what: "inputs", reason });
         }
         Ok(self)
     }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use snake_core::{Builtin, Control, Detection, Model, Options, TileDetector};
+use snake_core::{Builtin, Control, Detection, Length, Model, Options, TileDetector};
 use snake_io::{ReadOptions, for_each_position, read_cloud};
 use snake_tiles::{Error, Result, TiledDetection, TiledKeypoint, TiledRun};
 
@@ -83,6 +83,15 @@ fn tilings_an_interrupted_run_and_split_files_give_the_bits_of_the_whole_cloud()
         assert_eq!((run.origin(), run.num_points()), (cloud.origin, (12_000, 0)));
         assert!((side > 100.0) == (run.tiles().len() == 1), "{side}: {}", run.tiles().len());
         assert_equal(&finish(&run), &whole, &format!("tiles of {side}"));
+    }
+
+    // Chains of candidates and of modes reach over several tiles: a detector asks for wider margins.
+    for (mode_radius, side) in [(Length::Resolutions(3.5), 13.0), (Length::Voxels(9.0), 8.0)] {
+        let mut options = options;
+        options.detect.mode_radius = Some(mode_radius);
+        let whole = Model::builtin(Builtin::Scenes).detect(&cloud.points, &options).unwrap();
+        let run = prepare(&[&scan], &options, side, &path(&format!("modes{side}"))).unwrap();
+        assert_equal(&finish(&run), &whole, &format!("modes of {mode_radius}"));
     }
 
     // A run that ends after some tiles goes on, and repeats none of them.

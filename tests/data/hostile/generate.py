@@ -5,51 +5,21 @@ The others beside it were written by hand. `expected.json` says what each must g
 
 import io
 import json
+import math
 import struct
 import zipfile
 from pathlib import Path
 
+from snake_training.model import NetworkConfig, SnakeNetwork
+
 HERE = Path(__file__).resolve().parent
 
 
-def tensors():
-    """Names and shapes of the smallest network: one channel, one block, one level."""
-    block = {
-        "fc_0.weight": [1, 2],
-        "fc_0.bias": [1],
-        "fc_1.weight": [1, 1],
-        "fc_1.bias": [1],
-        "shortcut.weight": [1, 2],
-    }
-    conv = {"groupnorm.weight": [1], "groupnorm.bias": [1], "conv.weight": [1, 1, 3, 3, 3]}
-    shapes = {"encoder.fc_pos.weight": [2, 3], "encoder.fc_pos.bias": [2]}
-    shapes |= {f"encoder.blocks.0.{name}": shape for name, shape in block.items()}
-    shapes |= {"encoder.fc_c.weight": [1, 1], "encoder.fc_c.bias": [1]}
-    for number in (1, 2):
-        scope = f"encoder.unet3d.encoders.0.basic_module.SingleConv{number}"
-        shapes |= {f"{scope}.{name}": shape for name, shape in conv.items()}
-    shapes |= {"encoder.unet3d.final_conv.weight": [1, 1, 1, 1, 1], "encoder.unet3d.final_conv.bias": [1]}
-    for decoder in ("decoder_occup", "decoder_keypoint"):
-        for layer, inputs in {"fc_p": 3, "fc_c.0": 1, "blocks.0.fc_0": 1, "blocks.0.fc_1": 1, "fc_out": 1}.items():
-            shapes |= {f"{decoder}.{layer}.weight": [1, inputs], f"{decoder}.{layer}.bias": [1]}
-    return shapes
-
-
-METADATA = {
-    "format": "snake-field",
-    "format_version": "1",
-    "resolution": "[2, 2, 2]",
-    "padding": "0.125",
-    "z_min": "-0.5",
-    "z_max": "0.5",
-    "c_dim": "1",
-    "hidden_dim": "1",
-    "decoder_hidden_dim": "1",
-    "resnet_blocks": "1",
-    "unet_levels": "1",
-    "unet_base_channels": "1",
-    "group_norm_groups": "1",
-}
+# The smallest network: one channel, one block, one level.
+CONFIG = NetworkConfig((2,) * 3, c_dim=1, hidden_dim=1, decoder_hidden_dim=1, resnet_blocks=1, unet_levels=1,
+                       unet_base_channels=1, group_norm_groups=1)  # fmt: skip
+SHAPES = {name: list(tensor.shape) for name, tensor in SnakeNetwork(CONFIG).state_dict().items()}
+METADATA = {key: value for key, value in CONFIG.to_metadata().items() if key != "scatter"}  # as older files
 NAME = "encoder.fc_c.weight"
 
 
@@ -60,11 +30,8 @@ def weight_file(metadata=None, header=None, values=None, rename=None):
     `values`: {tensor: its numbers}; `rename`: {tensor: another name}.
     """
     entries, data = {}, b""
-    for name, shape in tensors().items():
-        count = 1
-        for length in shape:
-            count *= length
-        numbers = (values or {}).get(name, [0.5] * count)
+    for name, shape in SHAPES.items():
+        numbers = (values or {}).get(name, [0.5] * math.prod(shape))
         start = len(data)
         data += struct.pack(f"<{len(numbers)}f", *numbers)
         entry = {"dtype": "F32", "shape": shape, "data_offsets": [start, len(data)]}
@@ -167,7 +134,6 @@ def laz(changes=(), good="format_3.laz"):
 
 
 def cloud_files():
-    triangle = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
     stl = b"solid C:\\parts\\cube".ljust(80, b" ")
     points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
     good_npz = npz({"points": npy("(3, 3)", points)})
@@ -183,8 +149,8 @@ def cloud_files():
         "two_clouds.npz": npz({"a": npy("(3, 3)", points), "b": npy("(3, 3)", points)}),
         "name_with_control_characters.npz": npz({"a\x1b[31m\nb": npy("(3,)", bytes(12))}),
         "not_a.npz": b"PK\x03\x04potato",
-        "binary_solid.stl": stl + struct.pack("<I", 1) + bytes(12) + triangle + bytes(2),
-        "count_4e9.stl": b"binary".ljust(80, b" ") + struct.pack("<I", 4_000_000_000) + bytes(12) + triangle + bytes(2),
+        "binary_solid.stl": stl + struct.pack("<I", 1) + bytes(12) + points + bytes(2),
+        "count_4e9.stl": b"binary".ljust(80, b" ") + struct.pack("<I", 4_000_000_000) + bytes(12) + points + bytes(2),
         "count_4e9.las": las(4_000_000_000, record),
         "truncated_header.las": las(1, record)[:100],
         "truncated.las": las(2, record),

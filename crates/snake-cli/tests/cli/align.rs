@@ -95,7 +95,7 @@ fn initial_poses_are_read_and_what_contradicts_them_is_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let scans = scans(folder.path());
     let file = |name: &str| folder.path().join(name).display().to_string();
-    let (poses, trajectory, broken) = (file("poses.json"), file("poses.txt"), file("broken.txt"));
+    let (poses, trajectory) = (file("poses.json"), file("poses.txt"));
     succeed(&["align", &scans, "-o", &poses]);
     // The poses of an earlier run: the cube is in a part of its own.
     let output = snake(&["align", &scans, "--initial-poses", &poses, "--json"]);
@@ -112,33 +112,6 @@ fn initial_poses_are_read_and_what_contradicts_them_is_left_out() {
     let (left_out, allowed) = (report(&[]), report(&["--pose-tolerance", "2"]));
     let is_named = left_out.contains("left out: ") && left_out.contains("b.npy to ");
     assert!(is_named && left_out.contains("in 3 parts") && allowed.contains("in 2 parts"), "{left_out}{allowed}");
-    std::fs::write(&broken, "1 2 3\n").unwrap();
-    for (name, message) in [(&broken, "line 1: expected"), (&file("poses.csv"), ".json, .txt, .tum")] {
-        let output = snake(&["align", &scans, "--initial-poses", name]);
-        assert!(output.status.code() == Some(2) && stderr(&output).contains(message), "{}", stderr(&output));
-    }
-}
-
-#[test]
-fn align_refuses_bad_arguments_before_any_work() {
-    let folder = tempfile::tempdir().unwrap();
-    let scans = scans(folder.path());
-    let poses = folder.path().join("poses.json").display().to_string();
-    let first = folder.path().join("scans/a.ply").display().to_string();
-    for (arguments, message) in [
-        (vec![&scans[..], "-o", "poses.txt"], ".json"),
-        (vec![&scans, "--merged", "map.las"], "las"),
-        (vec![&first, "-o", &poses], "2 to 500"),
-        (vec![&scans, "--merged", &first], "overwrite"),
-        // Options of one pair are no options of many clouds.
-        (vec![&scans, "-o", &poses, "--set", "source_viewpoint=[0,0,0]"], "unknown option `source_viewpoint`"),
-        (vec![&scans, "-o", &poses, "--set", "hypotheses=3"], "unknown option `hypotheses`"),
-        (vec![&scans, "-o", &poses, "--max-partners", "0"], "max_partners"),
-    ] {
-        let output = snake(&[&["align"], &arguments[..]].concat());
-        assert!(output.status.code() == Some(2) && stderr(&output).contains(message), "{}", stderr(&output));
-        assert!(!Path::new(&poses).exists());
-    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 use snake_core::{Builtin, Field, Model, Point};
 use snake_io as io;
 
-use super::{assert_refused, file, report, sample, snake, succeed};
+use super::{file, report, sample, succeed};
 
 fn sample_field() -> Field {
     let points = io::read_points(Path::new(&sample())).unwrap();
@@ -120,35 +120,4 @@ fn panels_form_rows_and_columns_and_points_are_optional() {
     let reds = draw("reds.png", &["--colormap", "reds", "--no-points"]).2;
     // Without saliency the map is bright.
     assert!(reds[(TOP + 3) * width + LEFT + 3] > 240 && reds.iter().any(|red| *red < 200));
-}
-
-#[test]
-fn invalid_options_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let [png, npy, html] = ["a.png", "a.npy", "a.html"].map(|name| file(&folder, name));
-    let matrix = file(&folder, "t.txt");
-    std::fs::write(&matrix, "1 0 0\n").unwrap();
-    let plane = &sample();
-    let cases: &[(&[&str], &str)] = &[
-        (&["field", plane, "-o", "a.jpg"], ".png, .npy"),
-        (&["field", plane, "-o", plane], "is an input"),
-        (&["field", "nowhere.ply", "-o", &png], "nowhere.ply"),
-        (&["field", plane, "-o", &npy, "--quantity", "occupancy,saliency"], "one --quantity"),
-        (&["field", plane, "-o", &png, "--slice", "7"], "from -0.8"),
-        (&["field", plane, "-o", &png, "--slice", "nan"], "`middle`"),
-        (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 512"),
-        (&["view", plane, plane, "-o", &html, "--annotations", plane], "cannot be used with"),
-        (&["field", plane, "-o", &png, "--axis", "w"], "possible values: x, y, z"),
-        (&["view", plane, "-o", "a.pdf"], ".html"),
-        (&["register", plane, plane, "--view", "a.pdf"], ".html"),
-        (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),
-        (&["view", plane, "-o", &html, "--epsilon", "1"], "two clouds"),
-        (&["view", plane, plane, "-o", &html, "--transform", &matrix], "four rows of four numbers"),
-        (&["view", plane, plane, "-o", &html, "--epsilon=-1"], "epsilon"),
-        (&["view", plane, "nowhere.ply", "-o", &html], "nowhere.ply"),
-    ];
-    for (arguments, expected) in cases {
-        assert_refused(&snake(arguments), expected);
-    }
-    assert_eq!(folder.path().read_dir().unwrap().count(), 1, "nothing is written");
 }

@@ -2,7 +2,7 @@
 
 use assert_cmd::Command;
 
-use super::{json_lines, sample, snake, stderr, succeed};
+use super::{json_lines, sample, snake, succeed};
 
 #[test]
 fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
@@ -21,14 +21,4 @@ fn a_list_names_inputs_in_a_file_or_at_the_standard_input() {
     let run = command.args(["detect", "--input-list", "-"]).args(few).write_stdin(list).output().unwrap();
     assert_eq!(inputs(run), [path("b.ply"), path("a.ply")]);
     succeed(&["align", "--input-list", &path("list.txt"), "--json"]);
-    std::fs::write(path("list.txt"), "\n").unwrap();
-    for (arguments, expected) in [
-        (["detect", "--input-list", &path("list.txt")], "the list of inputs is empty"),
-        (["detect", "--input-list", "nowhere.txt"], "cannot read nowhere.txt"),
-        (["detect", "-", "--input-list=-"], "only once"),
-        (["detect", "--json", "-q"], "required"),
-    ] {
-        let output = snake(&arguments);
-        assert!(output.status.code() == Some(2) && stderr(&output).contains(expected), "{}", stderr(&output));
-    }
 }

@@ -1,6 +1,6 @@
 //! Mistakes on the command line and in its files.
 
-use super::{assert_refused, sample, snake, stderr};
+use super::{assert_refused, root, sample, snake, stderr};
 
 #[test]
 fn names_and_values_of_any_length_are_told_in_a_short_line() {
@@ -40,6 +40,12 @@ fn each_mistake_gets_one_line_with_advice() {
     let (nan, empty, weights) =
         (file("nan.xyz", "nan nan nan\nnan 0 0\n"), file("empty.xyz", ""), file("w.safetensors", "junk"));
     let nothing = folder.path().join("none").display().to_string();
+    let (plane, drive) = (&sample(), &root().join("tests/data/io/drive.mcap").display().to_string());
+    let [png, npy, html, ply, csv] =
+        ["png", "npy", "html", "ply", "csv"].map(|extension| format!("{}/out.{extension}", nothing));
+    let (matrix, list) = (file("t.txt", "1 0 0\n"), file("list.txt", "\n"));
+    let [bag, db3] = ["old.bag", "old.db3"].map(|name| file(name, "of another program"));
+    let tiles = ["detect", &one, "-o", &csv, "--tile", "4"];
     let cases: &[(&[&str], &str)] = &[
         (&["detect", "nowhere.ply"], "nowhere.ply"),
         (&["detect", &one], "at least two different"),
@@ -82,10 +88,66 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["register", &sample(), &sample(), "--detector", "orb"], "harris3d"),
         (&["register", &sample(), &sample(), "--voxel-size", "0"], "voxel_size"),
         (&["model", &weights], "safetensors"),
+        (&["reconstruct", plane, "-o", "mesh.xyz"], ".ply, .obj, .stl"),
+        (&["reconstruct", plane, "-o", &ply, "--resolution", "1000000"], "allowed is 8 to 512"),
+        (&["reconstruct", plane, "-o", &ply, "--level", "1"], "allowed is 0.001 to 0.999"),
+        (&["reconstruct", "nowhere.ply", "-o", &ply], "nowhere.ply"),
+        (&["field", plane, "-o", "a.jpg"], ".png, .npy"),
+        (&["field", plane, "-o", plane], "is an input"),
+        (&["field", "nowhere.ply", "-o", &png], "nowhere.ply"),
+        (&["field", plane, "-o", &npy, "--quantity", "occupancy,saliency"], "one --quantity"),
+        (&["field", plane, "-o", &png, "--slice", "7"], "from -0.8"),
+        (&["field", plane, "-o", &png, "--slice", "nan"], "`middle`"),
+        (&["field", plane, "-o", &png, "--resolution", "1"], "2 to 512"),
+        (&["field", plane, "-o", &png, "--axis", "w"], "possible values: x, y, z"),
+        (&["view", plane, plane, "-o", &html, "--annotations", plane], "cannot be used with"),
+        (&["view", plane, "-o", "a.pdf"], ".html"),
+        (&["register", plane, plane, "--view", "a.pdf"], ".html"),
+        (&["view", plane, plane, plane, "-o", &html], "unexpected argument"),
+        (&["view", plane, "-o", &html, "--epsilon", "1"], "two clouds"),
+        (&["view", plane, plane, "-o", &html, "--transform", &matrix], "four rows of four numbers"),
+        (&["view", plane, plane, "-o", &html, "--epsilon=-1"], "epsilon"),
+        (&["view", plane, "nowhere.ply", "-o", &html], "nowhere.ply"),
+        (&["align", plane, plane, "-o", "poses.txt"], ".json"),
+        (&["align", plane, plane, "--merged", "map.las"], "las"),
+        (&["align", plane], "2 to 500"),
+        (&["align", plane, plane, "--merged", plane], "overwrite"),
+        // Options of one pair are no options of many clouds.
+        (&["align", plane, plane, "--set", "source_viewpoint=[0,0,0]"], "unknown option `source_viewpoint`"),
+        (&["align", plane, plane, "--set", "hypotheses=3"], "unknown option `hypotheses`"),
+        (&["align", plane, plane, "--max-partners", "0"], "max_partners"),
+        (&["align", plane, plane, "--initial-poses", &matrix], "line 1: expected"),
+        (&["align", plane, plane, "--initial-poses", "poses.csv"], ".json, .txt, .tum"),
+        (&[&tiles[..], &["--nms-radius", "3%"]].concat(), "nms_radius"),
+        (&[&tiles[..], &["--json"]].concat(), "--json"),
+        (&["detect", "-", "-o", &csv, "--tile", "4"], "standard input"),
+        (&["detect", drive, "-o", &csv, "--tile", "4"], "recording"),
+        (&["detect", drive, plane, "-o", &csv, "--tile", "4"], "recording"),
+        (&["detect", "--input-list", &list], "the list of inputs is empty"),
+        (&["detect", "--input-list", "nowhere.txt"], "cannot read nowhere.txt"),
+        (&["detect", "-", "--input-list=-"], "only once"),
+        (&["detect", "--json", "-q"], "required"),
+        (&["detect", drive, plane], "a recording has to be the only input"),
+        (&["detect", plane, "--topic", "/points"], "--topic is for a recording"),
+        (&["detect", drive, "--topic", "/other"], "no messages of the topic /other; topics with point clouds: /points"),
+        (&["detect", drive, "-o", &ply], "give a directory"),
+        (&["detect", drive, "-o", "-"], "give a directory"),
+        (&["detect", drive, "-o", drive], "is an input"),
+        (&["detect", drive, "--sample", "9"], "not for a recording"),
+        (&["view", drive, "-o", &html], "`snake-cli detect` read"),
+        (&["detect", "none.mcap"], "none.mcap"),
+        (&["detect", "none.bag"], "none.bag: No such file"),
+        (&["detect", "none.db3"], "none.db3: "),
+        (&["view", "none.db3", "-o", &html], "none.db3: No such file"),
+        (&["view", &bag, "-o", &html], "mcap convert FILE.bag FILE.mcap"),
+        (&["detect", &bag], "mcap convert FILE.bag FILE.mcap"),
+        (&["view", &db3, "-o", &html], "ros2 bag convert -i FOLDER"),
+        (&["detect", &db3], "ros2 bag convert -i FOLDER"),
     ];
     for (arguments, expected) in cases {
         let output = snake(arguments);
         assert_refused(&output, expected);
         assert!(!stderr(&output).contains("panicked"), "{arguments:?}: {}", stderr(&output));
     }
+    assert!(!std::path::Path::new(&nothing).exists(), "nothing is written");
 }

@@ -45,20 +45,3 @@ fn meshes_are_written_in_each_format() {
         "{text}"
     );
 }
-
-#[test]
-fn invalid_options_are_refused_before_the_work() {
-    let folder = TempDir::new().unwrap();
-    let mesh = folder.path().join("mesh.ply").display().to_string();
-    for (arguments, expected) in [
-        (&["nowhere.ply", "-o", "mesh.xyz"][..], ".ply, .obj, .stl"),
-        (&["nowhere.ply", "-o", &mesh, "--resolution", "1000000"], "allowed is 8 to 512"),
-        (&["nowhere.ply", "-o", &mesh, "--level", "1"], "allowed is 0.001 to 0.999"),
-        (&["nowhere.ply", "-o", &mesh], "nowhere.ply"),
-    ] {
-        let output = snake(&[&["reconstruct"], arguments].concat());
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
-        assert!(stderr(&output).contains(expected) && stderr(&output).lines().count() == 1, "{}", stderr(&output));
-    }
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-}

@@ -10,11 +10,8 @@ use crate::{is_full, stderr};
 /// A scan of a floor with a wall, and where its keypoints go.
 fn scan() -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
-    let floor = (0..2700).map(|i| [f64::from(i % 60) * 0.2, f64::from(i / 60) * 0.2, 0.0]);
-    let wall = (0..900).map(|i| [6.0, f64::from(i % 45) * 0.2, f64::from(i / 45) * 0.15]);
-    let lines: String = floor.chain(wall).map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     let path = folder.path().join("scan.xyz");
-    fs::write(&path, lines).unwrap();
+    fs::write(&path, super::tiles::scan(0.0, 0.0)).unwrap();
     (folder, path)
 }
 

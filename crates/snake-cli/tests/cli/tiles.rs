@@ -2,13 +2,13 @@
 
 use std::fs;
 
-use crate::{assert_refused, snake, stderr};
+use crate::{snake, stderr};
 
-/// A floor of 12 by 9 m with a wall, far from zero.
-fn scan() -> String {
+/// A floor of 12 by 9 m with a wall, at this place.
+pub fn scan(east: f64, north: f64) -> String {
     let floor = (0..2700).map(|i| [f64::from(i % 60) * 0.2, f64::from(i / 60) * 0.2, 0.0]);
     let wall = (0..900).map(|i| [6.0, f64::from(i % 45) * 0.2, f64::from(i / 45) * 0.15]);
-    floor.chain(wall).map(|[x, y, z]| format!("{} {} {z}\n", x + 691_000.25, y + 5_336_000.5)).collect()
+    floor.chain(wall).map(|[x, y, z]| format!("{} {} {z}\n", x + east, y + north)).collect()
 }
 
 #[test]
@@ -16,7 +16,7 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (input, whole, tiled) = (path("scan.xyz"), path("whole.csv"), path("tiled.csv"));
-    fs::write(&input, scan()).unwrap();
+    fs::write(&input, scan(691_000.25, 5_336_000.5)).unwrap();
     let few = ["--voxel-size", "0.2", "--nms-radius", "0.3", "--max-keypoints", "5000"];
     let options = [&few[..], &["--set", "saliency_threshold=0.01", "--min-confidence", "0"]].concat();
     let run = |arguments: &[&str]| {
@@ -65,25 +65,4 @@ fn tiles_write_the_keypoints_of_the_whole_cloud() {
         assert_eq!(run(&in_folder).0, Some(0));
         assert!(fs::read(&keypoints).unwrap() == complete && fs::read(&one).unwrap() == candidates);
     }
-}
-
-#[test]
-fn tiles_need_lengths_in_cloud_units_and_files() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).display().to_string();
-    let (input, output) = (path("scan.xyz"), path("k.csv"));
-    fs::write(&input, scan()).unwrap();
-    for (arguments, expected) in [(&["--nms-radius", "3%"][..], "nms_radius"), (&["--json"], "--json")] {
-        assert_refused(&snake(&[&["detect", &input, "-o", &output, "--tile", "4"][..], arguments].concat()), expected);
-    }
-    let refused = snake(&["detect", "-", "-o", &output, "--tile", "4"]);
-    assert!(stderr(&refused).contains("standard input"), "{}", stderr(&refused));
-    let drive = path("drive.mcap");
-    fs::write(&drive, "no recording").unwrap();
-    for inputs in [&[&drive][..], &[&drive, &input]] {
-        let inputs = inputs.iter().map(|input| input.as_str());
-        let arguments: Vec<&str> = ["detect"].into_iter().chain(inputs).chain(["-o", &output, "--tile", "4"]).collect();
-        assert_refused(&snake(&arguments), "recording");
-    }
-    assert!(!std::path::Path::new(&output).exists());
 }

@@ -182,27 +182,6 @@ fn colours_are_for_terminals() {
     assert_eq!(all(&[("CLICOLOR_FORCE", "1")]), [true, true]);
 }
 
-#[test]
-fn quoted_patterns_are_expanded() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("deep")).unwrap();
-    for name in ["a.ply", "b.ply", "deep/c.ply"] {
-        std::fs::copy(sample(), folder.path().join(name)).unwrap();
-    }
-    std::fs::write(folder.path().join("deep/bad.ply"), "not a cloud").unwrap();
-    let pattern = |pattern: &str| folder.path().join(pattern).display().to_string();
-    let results = folder.path().join("results").display().to_string();
-    let output = snake(&["detect", &pattern("**/*.ply"), "-o", &results, "--format", "csv"]);
-    assert_eq!(output.status.code(), Some(1));
-    let last = stderr(&output).lines().last().unwrap().to_owned();
-    assert!(last.contains("1 of 4 inputs failed: ") && last.ends_with("bad.ply"), "{last}");
-    let mut written: Vec<String> =
-        Path::new(&results).read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    written.sort();
-    assert_eq!(written, ["a.keypoints.csv", "b.keypoints.csv", "c.keypoints.csv"]);
-    assert_refused(&snake(&["detect", &pattern("*.xyz")]), "*.xyz: no file matches this pattern");
-}
-
 /// The output of a command on a pseudo-terminal up to `expected`; it is ended then. `None` where there is no `script`.
 #[cfg(target_os = "linux")]
 pub fn shown_on_terminal(command: &str, folder: &Path, expected: &str) -> Option<String> {

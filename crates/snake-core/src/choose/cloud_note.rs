@@ -30,19 +30,9 @@ pub(super) fn cloud_note(cloud: &UsedCloud, config: &ModelConfig, options: &Opti
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::tests::sphere;
     use crate::{Builtin, Model};
     use snake_geometry::Point;
-
-    /// Points on a sphere.
-    fn sphere(number: usize, radius: f32) -> Vec<Point> {
-        let point = |i: usize| {
-            let z = 2.0 * (i as f32 + 0.5) / number as f32 - 1.0;
-            let (sin, cos) = (i as f32 * 2.4).sin_cos();
-            let flat = (1.0 - z * z).sqrt();
-            [radius * flat * cos, radius * flat * sin, radius * z]
-        };
-        (0..number).map(point).collect()
-    }
 
     fn note(model: &Model, points: &[Point]) -> String {
         let cloud = UsedCloud::new(points).unwrap();

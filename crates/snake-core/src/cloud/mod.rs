@@ -99,9 +99,19 @@ impl<'a> UsedCloud<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use crate::{Builtin, Detection, FrameDetector, Model};
     use snake_geometry::Point;
+
+    pub(crate) fn sphere(number: usize, radius: f32) -> Vec<Point> {
+        let point = |i: usize| {
+            let z = 2.0 * (i as f32 + 0.5) / number as f32 - 1.0;
+            let (sin, cos) = (i as f32 * 2.4).sin_cos();
+            let flat = (1.0 - z * z).sqrt();
+            [radius * flat * cos, radius * flat * sin, radius * z]
+        };
+        (0..number).map(point).collect()
+    }
 
     #[test]
     fn missing_returns_change_no_keypoint_of_a_cloud_or_a_frame() {

@@ -43,6 +43,7 @@ fn squared_distance(a: &Point, b: &Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::tests::sphere;
 
     /// The rings of a sensor 1.8 above a plane, and walls 6 and 40 away.
     fn sweep(unit: f32) -> Vec<Point> {
@@ -62,14 +63,7 @@ mod tests {
         for unit in [1.0, 1e-3, 1000.0] {
             assert!(is_sweep(&sweep(unit)));
         }
-        let ball: Vec<Point> = (0..5000)
-            .map(|i| {
-                let z = 2.0 * (i as f32 + 0.5) / 5000.0 - 1.0;
-                let (sin, cos) = (i as f32 * 2.4).sin_cos();
-                [(1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z]
-            })
-            .collect();
-        assert!(!is_sweep(&ball));
+        assert!(!is_sweep(&sphere(5000, 1.0)));
         assert!(!is_sweep(&[]));
         assert!(!is_sweep(&sweep(1.0)[..100]));
     }

@@ -4,10 +4,7 @@ use super::corners::ranks;
 use super::localize::Place;
 use super::*;
 use crate::{Builtin, EncodeOptions, Model, Preference};
-use snake_geometry::{
-    Keypoint, Length, NormalizationMethod,
-    rotations::{rotate, rotate_inverse, super_fibonacci},
-};
+use snake_geometry::{Keypoint, Length};
 
 /// A cylinder's points and its field by the built-in model.
 pub(crate) fn cylinder() -> (Vec<Point>, Field) {
@@ -32,60 +29,6 @@ fn detections_read_back_from_json() {
     let keys: Vec<&String> = value["keypoints"][0].as_object().unwrap().keys().collect();
     assert_eq!(keys, ["confidence", "covariance", "nearest_index", "occupancy", "saliency", "x", "y", "z"]);
     assert!(value["timing_seconds"]["encode"].as_f64().unwrap() > 0.0);
-}
-
-#[test]
-fn rotated_cloud_has_rotated_keypoints_in_principal_axes() {
-    let points: Vec<Point> = (0..4000)
-        .map(|i| {
-            let (angle, height) = (i as f32 * 0.7, (i % 97) as f32 / 97.0);
-            let radius = 0.15 + 0.2 * height * height;
-            [radius * angle.cos() + 0.3 * height * height, 0.7 * radius * angle.sin(), 2.0 * height]
-        })
-        .collect();
-    let model = Model::builtin(Builtin::Compact);
-    let shares = [NormalizationMethod::UnitSphere, NormalizationMethod::PrincipalAxes].map(|normalization| {
-        let mut options = *model.recommended();
-        options.encode.normalization = normalization;
-        let detect = |points: &[Point]| model.detect(points, &options).unwrap().keypoints;
-        let keypoints = detect(&points);
-        let rotation = &super_fibonacci(5).nth(3).unwrap();
-        let rotated = detect(&points.iter().map(|&p| rotate(rotation, p)).collect::<Vec<_>>());
-        let again = |keypoint: &&Keypoint| {
-            let squared = |other: &Keypoint| {
-                let other = rotate_inverse(rotation, other.position);
-                (0..3).map(|axis| (keypoint.position[axis] - other[axis]).powi(2)).sum::<f32>()
-            };
-            rotated.iter().map(squared).any(|squared| squared < 0.005 * 0.005)
-        };
-        assert!(keypoints.len() > 20);
-        keypoints.iter().filter(again).count() as f32 / keypoints.len() as f32
-    });
-    assert!(shares[0] < 0.6 && shares[1] > 0.9, "{shares:?}");
-}
-
-#[test]
-fn modes_are_suppressed() {
-    let (_, field) = cylinder();
-    let detect = |mode_radius, nms_radius: f64| {
-        let options = DetectOptions {
-            mode_radius,
-            nms_radius: Some(nms_radius.into()),
-            refine_steps: 0,
-            saliency_threshold: 0.0,
-            ..Default::default()
-        };
-        field.detect(&options).unwrap().keypoints
-    };
-    let modes = detect(Some(Length::Units(0.1)), 0.1);
-    assert!(modes.len() > 5 && modes != detect(None, 0.1));
-    assert!(modes.is_sorted_by(|a, b| a.saliency >= b.saliency));
-    for (i, a) in modes.iter().enumerate() {
-        for b in &modes[..i] {
-            let squared: f32 = (0..3).map(|axis| (a.position[axis] - b.position[axis]).powi(2)).sum();
-            assert!(squared > 0.1 * 0.1, "{a:?} {b:?}");
-        }
-    }
 }
 
 #[test]

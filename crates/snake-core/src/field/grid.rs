@@ -106,24 +106,7 @@ impl Field {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::detect::tests::cylinder;
-
-    #[test]
-    fn the_grid_spans_the_volume_in_the_clouds_frame() {
-        let (_, field) = cylinder();
-        let grid = field.grid(33).unwrap();
-        let (normalization, frame) = (field.normalization(), field.volume().frame().unwrap());
-        let half = 0.5 * (1.0 + frame.padding);
-        for axis in 0..3 {
-            for (index, expected) in [(0, -half), (16, 0.0), (32, half)] {
-                let mut point = normalization.center;
-                point[axis] = grid.coordinate(axis, index);
-                assert!((normalization.to_network(point)[axis] - expected).abs() < 1e-6, "axis {axis}, index {index}");
-            }
-        }
-        assert!(field.grid(1).is_err() && field.grid(513).is_err());
-    }
 
     #[test]
     fn arrays_have_the_values_of_their_positions() {
@@ -134,21 +117,12 @@ mod tests {
             let query = [grid.coordinate(0, x), grid.coordinate(1, y), grid.coordinate(2, z)];
             assert_eq!(array[[z, y, x]], field.occupancy(&[query]).unwrap()[0]);
         }
+        assert!(field.grid(1).is_err() && field.grid(513).is_err());
         assert!(grid.array(|_| Ok(vec![0.0])).unwrap_err().to_string().contains("9 for a grid"));
         let (volume, shape) = (field.volume(), field.volume().shape());
         let [_, height, width, channels] = shape;
         assert_eq!(volume.view().shape(), shape);
         let index = ((3 * height + 4) * width + 5) * channels + 6;
         assert_eq!(volume.view()[[3, 4, 5, 6]], volume.features()[index]);
-    }
-
-    #[test]
-    fn planes_across_z_stack_to_z_y_x() {
-        let grid = Grid { resolution: 3, low: [0.0; 3], high: [2.0; 3] };
-        let stacked: Vec<Point> = (0..3).flat_map(|z| grid.plane(2, grid.coordinate(2, z))).collect();
-        for (index, query) in stacked.iter().enumerate() {
-            assert_eq!(*query, [index % 3, index / 3 % 3, index / 9].map(|i| i as f32));
-        }
-        assert_eq!(grid.plane(0, 7.5)[5], [7.5, 2.0, 1.0]);
     }
 }

@@ -124,7 +124,7 @@ fn probability(log_odds: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, EncodeOptions, Model};
+    use crate::{Builtin, DetectOptions, EncodeOptions, Model};
     use snake_geometry::{NormalizationMethod, rotations};
 
     #[test]
@@ -188,6 +188,11 @@ mod tests {
             (rotated.orientation(), field.orientation() == rotated.orientation()),
             (&rotations::IDENTITY, false)
         );
+        let keypoints =
+            field.detect(&DetectOptions { saliency_threshold: 0.0, ..Default::default() }).unwrap().keypoints;
+        let places: Vec<Point> = keypoints.iter().map(|keypoint| keypoint.position).collect();
+        let saliency = field.saliency(&places).unwrap();
+        assert!(places.len() > 5 && keypoints.iter().zip(saliency).all(|(k, s)| (k.saliency - s).abs() < 1e-4));
         let (values, gradients) = field.saliency_and_gradient(&points[..99]).unwrap();
         let expected = rotated.saliency_and_gradient(&points[..99].iter().map(turn).collect::<Vec<_>>()).unwrap();
         for ((value, gradient), (same, there)) in values.iter().zip(gradients).zip(expected.0.iter().zip(expected.1)) {

@@ -96,26 +96,3 @@ impl VolumeFrame {
         })
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const FRAME: VolumeFrame = VolumeFrame { resolution: [16, 12, 8], padding: 0.125, z_bounds: [-0.25, 0.25] };
-
-    #[test]
-    fn voxels_run_x_first_and_far_points_fall_on_the_border() {
-        assert_eq!(FRAME.voxel([-9.0, -9.0, -9.0]), 0);
-        assert_eq!(FRAME.voxel([9.0, -9.0, -9.0]), 15);
-        assert_eq!(FRAME.voxel([-9.0, 9.0, -9.0]), 11 * 16);
-        assert_eq!(FRAME.voxel([9.0, 9.0, 9.0]), 16 * 12 * 8 - 1);
-        assert_eq!(FRAME.voxel([0.0, 0.0, 0.0]), 8 + 16 * (6 + 12 * 3));
-    }
-
-    #[test]
-    fn clamped_axes_have_no_gradient() {
-        assert_eq!(FRAME.voxels_per_unit([0.6, 0.0, -0.3])[0], 0.0);
-        assert!(FRAME.voxels_per_unit([0.6, 0.0, 0.0])[1] > 0.0);
-        assert_eq!(FRAME.voxels_per_unit([0.0, 0.0, -0.3])[2], 0.0);
-    }
-}

@@ -22,8 +22,6 @@ mod voxel_size;
 pub(crate) use self::blocks::{BlockGrid, MAX_NODE};
 pub(crate) use self::cells::Cells;
 pub(crate) use self::corner::from_corner;
-#[cfg(test)]
-pub(crate) use self::corner::lowest_corner;
 pub use self::cube::VolumeFrame;
 pub(crate) use self::levels::{FinestLevel, Level, levels};
 pub(crate) use self::queries::{Queries, Refined};

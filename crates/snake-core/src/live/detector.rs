@@ -84,32 +84,8 @@ impl FrameDetector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Builtin, CancelFlag, Error, Point, SeparateAxes};
-
-    /// A bent sheet of 1500 points, some of which are not finite.
-    fn cloud(bend: f32, is_missing: impl Fn(usize) -> bool) -> Vec<Point> {
-        let point = |i: usize| {
-            let (u, v) = ((i % 50) as f32 * 0.04, (i / 50) as f32 * 0.05);
-            if is_missing(i) { [u, f32::NAN, v] } else { [u, v, bend * (u * v).sin()] }
-        };
-        (0..1500).map(point).collect()
-    }
-
-    #[test]
-    fn a_detector_finds_what_the_model_finds_cloud_after_cloud() {
-        let model = Model::builtin(Builtin::Compact);
-        let options = *model.recommended();
-        let mut detector = FrameDetector::new(model.clone(), options).unwrap();
-        let mut detection = Detection::default();
-        for points in [cloud(0.5, |_| false), cloud(0.9, |i| i % 3 == 0), cloud(0.1, |i| i == 1499)] {
-            let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<f32>>());
-            detector.detect_into(&SeparateAxes::new(&x, &y, &z).unwrap(), &mut detection).unwrap();
-            let expected = model.detect(&points, &options).unwrap();
-            assert!(!expected.keypoints.is_empty());
-            detection.timing = expected.timing;
-            assert_eq!(detection, expected);
-        }
-    }
+    use crate::detect::tests::cylinder;
+    use crate::{Builtin, CancelFlag, Error};
 
     #[test]
     fn a_refused_cloud_leaves_the_last_detection_and_the_detector_goes_on() {
@@ -117,7 +93,7 @@ mod tests {
         let options = *model.recommended();
         let mut detector = FrameDetector::new(model, options).unwrap();
         let mut detection = Detection::default();
-        let points = cloud(0.5, |_| false);
+        let (points, _) = cylinder();
         detector.detect_into(&points, &mut detection).unwrap();
         let kept = detection.clone();
         let error = detector.detect_into(&[[f32::NAN; 3]; 4][..], &mut detection).unwrap_err().to_string();

@@ -221,23 +221,3 @@ impl SingleConv {
         Tensor { size, channels: self.conv.outputs(), values, sums, constant }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn pooling_and_upsampling_of_odd_sizes() {
-        let pool = BufferPool::default();
-        let tensor = |size: [usize; 3], value: fn(usize) -> f32| {
-            let mut values = pool.take(size.iter().product());
-            values.iter_mut().enumerate().for_each(|(i, v)| *v = value(i));
-            Tensor::new(size, 1, values)
-        };
-        assert_eq!(*tensor([2, 2, 5], |i| (i % 10) as f32).max_pool(&pool).values, [6.0, 8.0]);
-        let fine = tensor([1, 1, 5], |_| 0.0);
-        let coarse = tensor([1, 1, 2], |i| 1.0 + i as f32);
-        // floor(i * 2 / 5) = 0 0 0 1 1.
-        assert_eq!(*fine.concat_upsampled(&coarse, &pool).values, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 2.0, 0.0, 2.0]);
-    }
-}

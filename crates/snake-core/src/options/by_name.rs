@@ -90,13 +90,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_limit_of_keypoints_is_null() {
-        let values = serde_json::json!({ "max_keypoints": null });
-        let options = Options::default().with_values(values.as_object().unwrap()).unwrap();
-        assert_eq!(options.detect.max_keypoints, usize::MAX);
-    }
-
-    #[test]
     fn options_of_two_structs_are_found_by_name() {
         let both = (Options::default().encode, crate::MeshOptions::default());
         let values = serde_json::json!({ "seed": 7, "resolution": 99 });
@@ -108,18 +101,5 @@ mod tests {
             error.contains("unknown option `snap`") && error.contains("seed") && error.contains("level"),
             "{error}"
         );
-    }
-
-    #[test]
-    fn wrong_names_and_values_are_refused_by_name() {
-        let error = |text: &str| {
-            let values = serde_json::from_str(text).unwrap();
-            Options::default().with_values(&values).unwrap_err().to_string()
-        };
-        let unknown = error("{\"radius\": 1}");
-        assert!(unknown.starts_with("options: unknown option `radius`; the options are max_points, "), "{unknown}");
-        assert!(unknown.contains("nms_radius") && unknown.contains("snap"), "{unknown}");
-        assert!(error("{\"detect\": {}}").contains("unknown option `detect`"));
-        assert!(error("{\"snap\": 3}").starts_with("options: option `snap` is 3: "));
     }
 }

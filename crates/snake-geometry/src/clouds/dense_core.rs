@@ -147,11 +147,11 @@ impl Ray {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// The numbers from 0 to 1 of a row, as if they were drawn.
-    fn drawn(i: usize, row: usize) -> f64 {
+    pub(in crate::clouds) fn drawn(i: usize, row: usize) -> f64 {
         ((i as f64 * 12.9898 + row as f64 * 78.233).sin() * 43_758.545).rem_euclid(1.0)
     }
 

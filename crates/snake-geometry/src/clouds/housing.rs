@@ -70,9 +70,10 @@ fn distance(a: &Point, b: &Point) -> f64 {
 mod tests {
     use super::*;
     use crate::FinitePoints;
+    use crate::clouds::dense_core::tests::drawn;
 
     fn unit(i: usize, row: usize) -> f32 {
-        ((i as f64 * 12.9898 + row as f64 * 78.233).sin() * 43_758.545).rem_euclid(1.0) as f32
+        drawn(i, row) as f32
     }
 
     /// Points in a ball.

@@ -1,7 +1,7 @@
 //! Neighbours of points. The table of the crate says which structure answers which question.
 
 #[cfg(test)]
-mod hard_clouds;
+pub(crate) mod hard_clouds;
 mod kd_tree;
 mod neighbors;
 mod point_tree;

@@ -259,21 +259,6 @@ mod tests {
     }
 
     #[test]
-    fn doubles_far_from_zero_keep_their_digits_as_a_cloud() {
-        let positions: Vec<[f64; 3]> =
-            (0..50).map(|i| [500_123.25 + f64::from(i) * 0.01, 5_412_345.75, 431.5]).collect();
-        let data: Vec<u8> = positions.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-        let fields = [field("x", 0, 8), field("y", 8, 8), field("z", 16, 8)];
-        let layout = PointCloud2Layout { height: 1, width: 50, point_step: 24, row_step: 1200, is_bigendian: false };
-        let cloud = PointCloud2View::new(layout, &fields, &data).unwrap().to_cloud();
-        for (&point, position) in cloud.points.iter().zip(&positions) {
-            let back = crate::add_origin(point, cloud.origin);
-            assert!((0..3).all(|axis| (back[axis] - position[axis]).abs() < 1e-6), "{back:?} {position:?}");
-        }
-        assert!(cloud.origin != [0.0; 3]);
-    }
-
-    #[test]
     fn wrong_layouts_are_refused_by_field() {
         let (layout, fields, data) = message(false, false);
         let error =

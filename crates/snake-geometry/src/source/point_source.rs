@@ -94,7 +94,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn axes_of_different_lengths_are_refused_by_name() {
+    fn axes_are_points_and_those_of_different_lengths_are_refused_by_name() {
+        let axes = SeparateAxes::new(&[1.0, 2.0], &[3.0, 4.0], &[5.0, 6.0]).unwrap();
+        assert_eq!(axes.to_points(), [[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]);
         let error = |y: &[f32], z: &[f32]| SeparateAxes::new(&[1.0, 2.0], y, z).unwrap_err().to_string();
         assert_eq!(error(&[1.0], &[1.0, 2.0]), "y: 1 values, but x has 2");
         assert_eq!(error(&[1.0, 2.0], &[1.0, 2.0, 3.0]), "z: 3 values, but x has 2");

@@ -143,6 +143,7 @@ fn nearest_of_all(points: &[Point], query: Point) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::near::hard_clouds::scattered;
 
     fn squared_distance(a: Point, b: Point) -> f32 {
         (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
@@ -179,7 +180,7 @@ mod tests {
     #[test]
     fn every_suppression_equals_the_quadratic_loop_and_respects_ties() {
         let lattice = |i: u32| std::array::from_fn(|axis| (i * [7, 13, 29][axis] % 17) as f32 * 0.1);
-        let random = |i: u32| std::array::from_fn(|axis| (i * [7919, 104_729, 11][axis] % 10_007) as f32 * 1e-4);
+        let random = |i: u32| std::array::from_fn(|axis| scattered(i, axis) * 1e-4);
         let clouds: [Vec<Point>; 7] = [
             (0..400).map(lattice).collect(),
             (0..400).map(random).collect(),
@@ -199,19 +200,13 @@ mod tests {
                     let kept = suppression(points, &order, radius, limit);
                     assert_eq!(kept, expected, "{name}: cloud {number}, radius {radius}");
                 }
-                assert_eq!(suppress(points, &scores, radius, limit).unwrap()[..], expected);
+                assert_eq!(suppress(points, &scores, radius, limit).unwrap(), expected);
+                let ranked: Vec<Point> = order.iter().map(|&index| points[index]).collect();
+                let kept = suppress_ranked(&ranked, radius, limit).unwrap();
+                assert!(kept.into_iter().map(|rank| order[rank]).eq(expected));
             }
             assert_eq!(suppress(points, &scores, 0.0, 5).unwrap()[..], order[..order.len().min(5)]);
         }
-    }
-
-    #[test]
-    fn ranked_points_are_kept_in_their_order() {
-        let points = [0.0, 0.5, 1.0, 2.0, 1.25, 4.0].map(|x| [x, 0.0, 0.0]);
-        assert_eq!(suppress_ranked(&points, 0.5, 9).unwrap(), [0, 2, 3, 5]);
-        assert_eq!(suppress_ranked(&points, 0.5, 3).unwrap(), [0, 2, 3]);
-        assert_eq!(suppress_ranked(&points, 0.0, 5).unwrap(), [0, 1, 2, 3, 4]);
-        assert_eq!(suppress_ranked(&[], 0.5, 5).unwrap(), [] as [usize; 0]);
     }
 
     #[test]
@@ -267,11 +262,10 @@ mod tests {
 
     #[test]
     fn the_tree_and_the_scan_find_the_same_point() {
-        let coordinate = |i: u32, axis: usize| (u64::from(i) * [7919, 104_729, 1_299_709][axis] % 10_007) as f32 * 1e-4;
+        let point = |i: u32| std::array::from_fn(|axis| scattered(i, axis));
         // There are so many points that several trees have equally near points.
-        let points: Vec<Point> =
-            (0..2 * TREE_POINTS as u32 + 1000).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
-        let queries: Vec<Point> = (5000..5300).map(|i| std::array::from_fn(|axis| coordinate(i, axis))).collect();
+        let points: Vec<Point> = (0..2 * TREE_POINTS as u32 + 1000).map(point).collect();
+        let queries: Vec<Point> = (5000..5300).map(point).collect();
         let scanned: Vec<usize> = queries.iter().map(|&query| nearest_of_all(&points, query)).collect();
         assert_eq!(nearest_points(&points, &queries).unwrap(), scanned);
     }

@@ -109,7 +109,6 @@ mod tests {
     use std::path::Path;
 
     use crate::PointFormat;
-    use crate::tests::points;
 
     #[test]
     fn the_folder_of_a_data_set_selects_the_layout() {
@@ -122,13 +121,5 @@ mod tests {
         }
         let error = format("scans/000000.bin").unwrap_err().to_string();
         assert!(error.contains("`format` kitti") && error.contains("nuscenes"), "{error}");
-    }
-
-    #[test]
-    fn values_beyond_x_y_z_are_skipped_and_lengths_are_checked() {
-        let bytes: Vec<u8> = (0..20).flat_map(|i| (i as f32).to_le_bytes()).collect();
-        assert_eq!(points(super::read(&bytes, 5)).unwrap()[1], [5.0, 6.0, 7.0]);
-        assert_eq!(points(super::read(&bytes, 4)).unwrap().len(), 5);
-        assert!(points(super::read(&bytes[..79], 4)).unwrap_err().contains("79 bytes"));
     }
 }

@@ -360,10 +360,6 @@ mod tests {
         points(super::read(bytes, None))
     }
 
-    fn read_counted(bytes: &[u8]) -> Result<Vec<Point>, String> {
-        points(super::read_counted(bytes, None))
-    }
-
     const TWO: [Point; 2] = [[1.0, 2.0, 3.0], [-0.5, 1e-3, 7.0]];
 
     #[test]
@@ -425,19 +421,6 @@ mod tests {
     }
 
     #[test]
-    fn columns_can_be_chosen() {
-        let read = |text: &str, columns: &str| points(super::read(text.as_bytes(), Some(&columns.parse().unwrap())));
-        let table = "t,e,n,h\n9,1,2,3\n9,-.5,1e-3,7\n";
-        assert_eq!(read(table, "e,n,h").unwrap(), TWO);
-        assert_eq!(read(table, "2,3,4").unwrap(), TWO);
-        assert_eq!(read("9 3 2 1\n9 7 1e-3 -.5\n", "4,3,2").unwrap(), TWO);
-        assert_eq!(read("# t a b c\n9 1 2 3\n9 -.5 1e-3 7\n", "a,b,c").unwrap(), TWO);
-        assert!(read(table, "x,y,z").unwrap_err().contains("no column `x`; the columns are 1 `t`, 2 `e`"));
-        assert!(read("1 2 3\n", "x,y,z").unwrap_err().contains("no header"));
-        assert!(read("1 2 3\n", "2,3,4").unwrap_err().starts_with("line 1: no three coordinates"));
-    }
-
-    #[test]
     fn bad_lines_are_named_and_shown() {
         for (text, line, shown) in [
             (&b"1 2 3\n1 2\n"[..], "line 2:", "`1 2`"),
@@ -452,15 +435,5 @@ mod tests {
             assert!(reason.starts_with(line) && reason.contains(shown), "{reason}");
         }
         assert!(read("9".repeat(1 << 20).as_bytes()).unwrap_err().len() < 200);
-    }
-
-    #[test]
-    fn count_lines_are_checked() {
-        assert_eq!(read_counted(b"2\n1 2 3 0 255 0 0\n-0.5 1e-3 7 0 0 0 0\n").unwrap(), TWO);
-        assert_eq!(read_counted(b"# pts\n1 2 3\n-0.5 1e-3 7\n").unwrap(), TWO);
-        assert!(read_counted(b"0\n").unwrap().is_empty() && read_counted(b"").unwrap().is_empty());
-        for text in [&b"3\n1 2 3\n"[..], b"1000000000000\n1 2 3\n", b"1\n1 2 3\n1 2 3\n", b"2.5\n1 2 3"] {
-            read_counted(text).unwrap_err();
-        }
     }
 }

@@ -65,9 +65,6 @@ mod tests {
         ] {
             assert_eq!(number(word), Some(value), "{word}");
         }
-        for word in ["nan", "-NaN", "1.#QNAN", "-1.#IND", "-1.#IND00", "1.#R", "-nan(ind)", "nan(snan)", "NAN(0x1)"] {
-            assert!(number(word).is_some_and(f64::is_nan), "{word}");
-        }
         for word in
             ["", "-", "--1", "+-1", "1,5", "1.5f", "d", "1d", "dd", "dead", "1.#", "0x10", "1_0", "e5", "nano", "1e5d3"]
         {
@@ -76,12 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_without_a_value() {
-        for word in
-            ["", "-", "NA", "n/a", "NULL", "None", "#N/A", "#NUM!", "#DIV/0!", "#NAME?", "#VALUE!", "#NV", "<NA>"]
-        {
-            assert!(cell(word).is_some_and(f64::is_nan), "{word}");
-        }
+    fn other_words_are_no_cells() {
         for word in ["#X", "#", "#!", "x", "#1", "no", "P1"] {
             assert_eq!(cell(word), None, "{word}");
         }

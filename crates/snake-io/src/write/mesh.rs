@@ -147,20 +147,6 @@ mod tests {
     }
 
     #[test]
-    fn the_origin_is_added_where_it_fits() {
-        let (mesh, origin) = (tetrahedron(), [500_000.0, 5_400_000.0, 0.0]);
-        let folder = tempfile::tempdir().unwrap();
-        for (name, expected) in [("a.ply", 500_000.5), ("a.obj", 500_000.5), ("a.stl", 0.5)] {
-            let path = folder.path().join(name);
-            crate::write_mesh(&path, &mesh, origin).unwrap();
-            assert_eq!(crate::adds_origin(&path), expected > 1.0);
-            let read = crate::read_cloud(&path, &Default::default()).unwrap();
-            let largest = read.points.iter().map(|&point| add_origin(point, read.origin)[0]).fold(0.0, f64::max);
-            assert_eq!(largest, expected, "{name}");
-        }
-    }
-
-    #[test]
     fn stl_has_fifty_bytes_a_triangle() {
         let bytes = written(write_stl, &tetrahedron());
         assert_eq!(bytes.len(), 84 + 4 * 50);

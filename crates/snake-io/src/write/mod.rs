@@ -246,24 +246,4 @@ mod tests {
         // In little-endian order blue comes first.
         assert_eq!(bytes[bytes.len() - 72..][12..16], [98, 201, 94, 0]);
     }
-
-    #[test]
-    fn clouds_in_every_format_have_the_origin_added() {
-        let (points, origin) = ([[0.5, 0.25, -1.0], [0.1, 2.0, 3.0]], [500_000.0, 5_400_000.0, 0.0]);
-        let text = |format: CloudFormat, origin| {
-            let mut bytes = Vec::new();
-            format.write(&mut bytes, &points, &Attributes::default(), origin).unwrap();
-            String::from_utf8_lossy(&bytes).into_owned()
-        };
-        assert_eq!(text(CloudFormat::Xyz, [0.0; 3]), "0.5 0.25 -1\n0.1 2 3\n");
-        assert!(text(CloudFormat::Xyz, origin).starts_with("500000.5 5400000.25 -1\n"));
-        assert!(text(CloudFormat::Csv, origin).starts_with("x,y,z\n500000.5,5400000.25,-1\n"));
-        assert!(text(CloudFormat::Ply, origin).contains("property double x\n"));
-        let pcd = text(CloudFormat::Pcd, origin);
-        assert!(pcd.contains("SIZE 4 4 4\n") && pcd.contains("\n# snake-rs origin 500000 5400000 0\n"), "{pcd}");
-        assert!(!text(CloudFormat::Pcd, [0.0; 3]).contains("origin"));
-        let keypoints = String::from_utf8_lossy(&written(KeypointFormat::Pcd, origin)).into_owned();
-        assert!(keypoints.contains("SIZE 4 4 4 4") && keypoints.contains("# snake-rs origin 500000"), "{keypoints}");
-        assert!(text(CloudFormat::Ply, [0.0; 3]).contains("property float x\n"));
-    }
 }

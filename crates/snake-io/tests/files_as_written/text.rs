@@ -82,7 +82,8 @@ fn numbers_as_fortran_and_windows_print_them() {
 #[test]
 fn cells_without_a_value_are_not_finite() {
     for word in [
-        "", "NA", "N/A", "NaN", "null", "NULL", "None", "-", "#N/A", "#NUM!", "#DIV/0!", "#VALUE!", "\"\"", " ", "<NA>",
+        "", "NA", "N/A", "NaN", "null", "NULL", "None", "-", "#N/A", "#NV", "#NAME?", "#NUM!", "#DIV/0!", "#VALUE!",
+        "\"\"", " ", "<NA>",
     ] {
         for separator in [",", ";", "\t"] {
             let text = format!("x,y,z,i\n1,2,3,4\n{word},{word},{word},4\n5,6,,4\n7,8,9,4\n").replace(',', separator);
@@ -122,6 +123,9 @@ fn lines_above_the_points() {
         [format!("2\n{first}4\n{rest}"), rows(" ", " -1204 255 0 0\n"), format!("  6  \n{}", rows(" ", "\n"))],
     );
     assert_eq!(read("csv", b"x,y,z\n"), Ok(vec![]));
+    assert_eq!([&b"0\n"[..], b""].map(|empty| read("pts", empty)), [Ok(vec![]), Ok(vec![])]);
+    let named = lines("N X Y Z").replacen("0 ", "# t a b c\n0 ", 1);
+    assert_eq!(read_with("txt", named.as_bytes(), &columns("a,b,c")).unwrap(), POINTS);
     assert_refused("xyz", [(format!("2\n{first}4\n{rest}"), "`format` pts")]);
     assert_refused(
         "pts",

@@ -5,15 +5,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::Detector;
-use crate::rigid::tests::{random_points, random_transform};
+use crate::rigid::tests::{random_points, random_transform, sample};
 use crate::rigid::transform_points;
 use snake_core::CancelFlag;
 use snake_geometry::Vector;
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
 fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
-    let points = snake_io::read_points(path.as_ref()).unwrap();
+    let points = sample();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let poses: Vec<RigidTransform> = (0..4).map(|_| random_transform(&mut rng).into()).collect();
     let sampling = |start: usize| points.iter().skip(start).step_by(2).copied().collect::<Vec<Point>>();
@@ -88,12 +87,8 @@ fn bad_clouds_and_options_are_refused() {
     };
     let default = RegisterOptions::default();
     assert!(refused(&clouds[..1], &[], &default).contains("2 to 500"));
-    for (bad, reason) in
-        [(vec![], "no points"), (vec![[f32::NAN; 3]; 3], "finite"), (vec![[1.0; 3]; 3], "two different")]
-    {
-        let error = refused(&[clouds[0].clone(), clouds[1].clone(), bad], &[], &default);
-        assert!(error.contains("cloud 2 (from 0)") && error.contains(reason), "{error}");
-    }
+    let error = refused(&[clouds[0].clone(), clouds[1].clone(), vec![[1.0; 3]; 3]], &[], &default);
+    assert!(error.contains("cloud 2 (from 0)") && error.contains("two different"), "{error}");
     assert!(refused(&clouds, &[None], &default).contains("viewpoints"));
     assert!(refused(&clouds, &[Some([f64::NAN; 3]); 4], &default).contains("-1e15 to 1e15"));
     let far = [None, Some([0.0, 0.0, 1e200]), None, None];

@@ -17,9 +17,6 @@ const ROUNDS: usize = 2;
 
 /// The registration at the scale at which it is most confident. Factors near 1 are tried first,
 /// until one is reliable.
-///
-/// # Errors
-/// The errors of [`register_with`](crate::register_with).
 pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
     let mut best: Option<Registration> = None;
     for power in (0..=FACTORS).flat_map(|power| [power, -power]).skip(1) {

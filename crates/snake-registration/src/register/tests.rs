@@ -7,16 +7,12 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::Detector;
 use crate::options::Descriptor;
-use crate::rigid::tests::random_transform;
+use crate::result::Matches;
+use crate::rigid::tests::{random_transform, sample};
 use crate::rigid::transform_points;
 use crate::steps::{self, consensus, describe, judge, match_rows, refine};
 use snake_core::{Builtin, Cloud};
 use snake_geometry::{Length, RigidTransform, resolution};
-
-fn sample() -> Vec<Point> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
-    snake_io::read_points(path.as_ref()).unwrap()
-}
 
 fn options() -> RegisterOptions {
     RegisterOptions { max_keypoints: 500, ..Default::default() }
@@ -41,18 +37,11 @@ fn two_samplings_are_registered_for_any_rotation() {
     let part: Vec<Point> = points[2048..].iter().copied().filter(|p| p[0] < 0.5).collect();
     for seed in 0..4 {
         let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
-        let registration = run(source, &transform_points(&truth, &part), &options()).unwrap();
-        assert!(difference(&points, &registration.t_target_source, &truth) < 0.05, "seed {seed}: {registration:?}");
-        assert!(
-            registration.matches.num_inliers >= 3
-                && registration.matches.num_matches > registration.matches.num_inliers,
-            "{registration:?}"
-        );
-        assert!(registration.hypotheses[0].t_target_source == registration.t_target_source, "{registration:?}");
-        assert!(
-            registration.matches.rmse > 0.0 && registration.matches.rmse < 0.1 && registration.seconds > 0.0,
-            "{registration:?}"
-        );
+        let found = run(source, &transform_points(&truth, &part), &options()).unwrap();
+        assert!(difference(&points, &found.t_target_source, &truth) < 0.05, "seed {seed}: {found:?}");
+        assert!(found.hypotheses[0].t_target_source == found.t_target_source && found.seconds > 0.0, "{found:?}");
+        let Matches { num_inliers, num_matches, rmse, .. } = found.matches;
+        assert!(3 <= num_inliers && num_inliers < num_matches && 0.0 < rmse && rmse < found.fit.inlier_distance);
     }
 }
 
@@ -81,29 +70,6 @@ fn options_that_run_a_model_need_one_before_anything_is_computed() {
 }
 
 #[test]
-fn inliers_are_those_before_icp_and_fitness_is_that_of_the_result() {
-    let points = sample();
-    let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(7)));
-    let (source, target) = (&points[..2048], transform_points(&truth, &points[2048..]));
-    let registration = run(source, &target, &options()).unwrap();
-    let rough = run(source, &target, &RegisterOptions { icp_steps: 0, ..options() }).unwrap();
-    assert!(
-        registration.matches.num_inliers >= 3
-            && registration.matches.rmse > 0.0
-            && registration.matches.rmse < registration.fit.inlier_distance,
-        "{registration:?}"
-    );
-    assert_eq!(registration.fit.inlier_distance, rough.fit.inlier_distance);
-    // These are two samplings of one surface, and the rough transform puts a part of it out of
-    // reach.
-    assert!(
-        registration.fit.fitness > 0.95 && registration.fit.fitness > rough.fit.fitness + 0.02,
-        "{registration:?} {rough:?}"
-    );
-    assert!(registration.fit.rmse < rough.fit.rmse, "{registration:?} {rough:?}");
-}
-
-#[test]
 fn few_spread_keypoints_register_and_their_matches_agree() {
     let points = sample();
     let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(3)));
@@ -113,12 +79,6 @@ fn few_spread_keypoints_register_and_their_matches_agree() {
         let registration = run(source, &target, &few).unwrap();
         assert!(difference(source, &registration.t_target_source, &truth) < 0.05, "{detector:?}: {registration:?}");
         assert!(registration.matches.num_matches <= 500, "{registration:?}");
-        assert_eq!(registration.matches.pairs.len(), registration.matches.num_agreeing);
-        for [from, to] in &registration.matches.pairs {
-            let moved = transform_points(&registration.t_target_source, &[*from])[0];
-            let squared: f32 = (0..3).map(|axis| (moved[axis] - to[axis]).powi(2)).sum();
-            assert!(f64::from(squared.sqrt()) < 1.001 * registration.fit.inlier_distance);
-        }
     }
 }
 
@@ -183,18 +143,6 @@ fn lengths_may_be_multiples_of_the_coarser_clouds_resolution() {
 #[test]
 fn options_outside_their_range_are_named() {
     let points = &sample()[..500];
-    for (options, name) in [
-        (RegisterOptions { max_keypoints: 2, ..options() }, "max_keypoints"),
-        (RegisterOptions { voxel_size: Some(Length::Units(0.0)), ..options() }, "voxel_size"),
-        (RegisterOptions { normal_radius: Some(Length::Resolutions(-1.0)), ..options() }, "normal_radius"),
-        (RegisterOptions { feature_radius: Some(Length::Units(f64::NAN)), ..options() }, "feature_radius"),
-        (RegisterOptions { inlier_distance: Some(Length::Units(f64::INFINITY)), ..options() }, "inlier_distance"),
-        (RegisterOptions { num_keypoints: Some(2), ..options() }, "num_keypoints"),
-        (RegisterOptions { max_matches: 2, ..options() }, "max_matches"),
-    ] {
-        let error = run(points, points, &options).unwrap_err().to_string();
-        assert!(error.contains(name), "{error}");
-    }
     for (pair_options, name) in [
         (PairOptions { hypotheses: 0, ..Default::default() }, "hypotheses"),
         (PairOptions { source_viewpoint: Some([f64::NAN; 3]), ..Default::default() }, "source_viewpoint"),
@@ -203,6 +151,7 @@ fn options_outside_their_range_are_named() {
         let error = register_with(points, points, None, &options(), &pair_options, &Control::default()).unwrap_err();
         assert!(error.to_string().contains(name), "{error}");
     }
+    assert!(run(points, points, &options().with_max_matches(2)).unwrap_err().to_string().contains("max_matches"));
     // Each cloud is reduced to one voxel.
     let options = RegisterOptions { voxel_size: Some(Length::Units(1e3)), ..options() };
     assert!(run(points, points, &options).unwrap_err().to_string().contains("correspondences"));
@@ -295,29 +244,6 @@ fn single_matches_find_more_pairs_of_low_overlap() {
 
 fn cloud(points: &[Point], origin: [f64; 3]) -> Cloud {
     Cloud { points: points.to_vec(), origin }
-}
-
-#[test]
-fn scans_of_a_prepared_map_have_the_result_of_register() {
-    let points = sample();
-    let lengths = [0.05, 0.1, 0.25, 0.075].map(|length| Some(Length::Units(length)));
-    let options = RegisterOptions::default()
-        .with_voxel_size(lengths[0])
-        .with_normal_radius(lengths[1])
-        .with_feature_radius(lengths[2])
-        .with_inlier_distance(lengths[3]);
-    let (origin, control) = ([691_000.0, 5_336_000.0, 512.0], Control::default());
-    let map = PreparedMap::new(&cloud(&points[2048..], origin), None, None, &options, &control).unwrap();
-    for seed in 0..2 {
-        let truth = RigidTransform::from(random_transform(&mut ChaCha8Rng::seed_from_u64(seed)));
-        let scan = transform_points(&truth, &points[..2048]);
-        // Neither sensor is known: a georeferenced cloud has none at the zero of its frame.
-        let one = register(&scan, &points[2048..], &options.with_use_viewpoints(false)).unwrap();
-        let one = one.between_origins([0.0; 3], origin);
-        let registration = map.register(&cloud(&scan, [0.0; 3]), &PairOptions::default(), &control).unwrap();
-        assert!(registration.verdict.is_reliable, "{registration:?}");
-        assert_eq!(Registration { seconds: 0.0, ..registration }, Registration { seconds: 0.0, ..one });
-    }
 }
 
 #[test]

@@ -138,9 +138,6 @@ impl<'a, 'p> Search<'a, 'p> {
     }
 
     /// The registration by the tries that apply.
-    ///
-    /// # Errors
-    /// The errors of [`register_with`](crate::register_with).
     pub(crate) fn register(&self) -> Result<Registration> {
         let mut registration = self.run()?;
         registration.hypotheses.truncate(self.pair_options.hypotheses);
@@ -294,12 +291,12 @@ mod tests {
     use nalgebra::{IsometryMatrix3, Translation3, Vector3};
 
     use super::*;
+    use crate::rigid::tests::sample;
     use crate::steps::prepare;
 
     #[test]
     fn a_finer_look_confirms_what_it_finds_too() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply");
-        let cloud = snake_io::read_points(path.as_ref()).unwrap();
+        let cloud = sample();
         let (options, pair_options, control) = Default::default();
         let prepared = prepare(&[&cloud, &cloud], &[None, None], None, &options, &control).unwrap();
         let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);

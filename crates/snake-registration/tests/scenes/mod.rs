@@ -1,9 +1,23 @@
 //! Made scenes of boxes, rooms and tunnels, which rays meet.
 
+use std::f64::consts::TAU;
+
+use nalgebra::{IsometryMatrix3, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use snake_core::Point;
 
 pub type Vec3 = [f64; 3];
+
+/// The rays of a LiDAR with that many beams from `low` to `high` (radians).
+pub fn lidar(beams: i32, columns: i32, low: f64, high: f64) -> Vec<Vec3> {
+    let ray = |i: i32| {
+        let elevation = low + f64::from(i / columns) * (high - low) / f64::from(beams - 1);
+        let azimuth = f64::from(i % columns) * TAU / f64::from(columns);
+        [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()]
+    };
+    (0..beams * columns).map(ray).collect()
+}
 
 /// Boxes, and rooms that are seen from inside: low and high corner. Tunnels along x have a radius
 /// about y = z = 0.
@@ -15,8 +29,26 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// What a sensor at a pose sees within `most`, in its frame.
+    pub fn scan(
+        &self,
+        pose: &IsometryMatrix3<f64>,
+        rays: &[Vec3],
+        most: f64,
+        noise: f64,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Point> {
+        let hit = |ray: &Vec3| {
+            let in_scene = pose.rotation * Vector3::from(*ray);
+            let range =
+                self.range(pose.translation.vector.into(), in_scene.into()) + noise * rng.random_range(-1.7..1.7);
+            (range < most).then(|| ray.map(|v| (v * range) as f32))
+        };
+        rays.iter().filter_map(hit).collect()
+    }
+
     /// The distance to the first surface.
-    pub fn range(&self, at: Vec3, ray: Vec3) -> f64 {
+    fn range(&self, at: Vec3, ray: Vec3) -> f64 {
         let crossings = |[low, high]: &[Vec3; 2]| {
             let (mut near, mut far) = (f64::NEG_INFINITY, f64::INFINITY);
             for axis in 0..3 {

@@ -7,7 +7,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::Error;
 
 /// All samples of a function, or those that are found without a hint.
 fn samples(resolution: usize, all: bool, value: impl Fn(Sample) -> f32 + Sync) -> Samples {
@@ -71,28 +70,6 @@ fn distance(sample: Sample, from: [f32; 3]) -> f32 {
 fn shell(sample: Sample, center: [f32; 3], radii: [f32; 2]) -> f32 {
     let distance = distance(sample, center);
     (distance - radii[0]).min(radii[1] - distance)
-}
-
-#[test]
-fn sphere_and_torus_have_their_area_volume_and_euler_characteristic() {
-    let sphere = |sample| 20.0 - distance(sample, [24.3, 23.9, 24.1]);
-    let torus = |sample: Sample| {
-        let [x, y, z] = sample.map(|i| i as f32 - 24.2);
-        6.5 - ((x.hypot(y) - 15.0).powi(2) + z * z).sqrt()
-    };
-    let (big, small) = (15.0, 6.5);
-    let exact = [
-        (4.0 * PI * 400.0, 4.0 / 3.0 * PI * 8000.0, 2),
-        (4.0 * PI * PI * big * small, 2.0 * PI * PI * big * small * small, 0),
-    ];
-    let surfaces = [samples(49, true, sphere), samples(49, true, torus)];
-    for (samples, (area, inside, euler)) in surfaces.iter().zip(exact) {
-        let mesh = mesh(samples, &Surface::of(samples));
-        // Chords instead of arcs: both are a little small.
-        assert!((0.995..1.0).contains(&(mesh.area() / area)), "{} {area}", mesh.area());
-        assert!((0.99..1.0).contains(&(volume(&mesh) / inside)), "{} {inside}", volume(&mesh));
-        assert_eq!(euler_characteristic(&mesh), euler);
-    }
 }
 
 #[test]
@@ -222,41 +199,6 @@ fn the_border_closes_what_it_cuts() {
 }
 
 #[test]
-fn the_mesh_of_a_field_is_that_of_all_samples_at_the_level_and_faces_out() {
-    let (points, field) = crate::detect::tests::cylinder();
-    for (resolution, level, outer) in [(50, 0.4, false), (64, 0.8, true)] {
-        let options = MeshOptions { resolution, level, outer, surface: MeshSurface::Level };
-        let mesh = field.mesh(&options).unwrap();
-        assert_eq!(
-            mesh,
-            Grid::new(&field, resolution).mesh(&options, every_sample(resolution), &Control::default()).unwrap()
-        );
-        euler_characteristic(&mesh);
-        let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        assert_eq!(mesh, threads.install(|| field.mesh(&options)).unwrap());
-
-        let mut errors: Vec<f32> =
-            field.occupancy(&mesh.vertices).unwrap().into_iter().map(|value| (value - level).abs()).collect();
-        errors.sort_by(f32::total_cmp);
-        // The occupancy rises within a sample or two.
-        assert!(errors[errors.len() / 2] < 0.15, "{}", errors[errors.len() / 2]);
-        let agree = |&triangle: &[u32; 3]| {
-            let cross = mesh.area_vector(triangle);
-            let dot = |normal: [f32; 3]| (0..3).map(|axis| cross[axis] * f64::from(normal[axis])).sum::<f64>();
-            triangle.iter().all(|&vertex| dot(mesh.normals[vertex as usize]) > 0.0)
-        };
-        let agreeing = mesh.triangles.iter().filter(|triangle| agree(triangle)).count();
-        assert!(agreeing * 10 > mesh.triangles.len() * 9, "{agreeing} of {}", mesh.triangles.len());
-        assert!(mesh.normals.iter().all(|n| (n.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
-        // Three voxels of the 32³ volume.
-        let far = 0.105 * field.normalization().scale;
-        let distance = |a: Point, b: Point| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
-        let nearest = |vertex: Point| points.iter().map(|&p| distance(p, vertex)).fold(f32::INFINITY, f32::min);
-        assert!(mesh.vertices.iter().all(|&vertex| nearest(vertex) < far));
-    }
-}
-
-#[test]
 fn the_middle_of_the_shell_lies_nearer_to_the_surface_than_the_level() {
     let (_, field) = crate::detect::tests::cylinder();
     let mesh = |surface| field.mesh(&MeshOptions { resolution: 64, surface, ..Default::default() }).unwrap();
@@ -278,15 +220,6 @@ fn the_middle_of_the_shell_lies_nearer_to_the_surface_than_the_level() {
     assert!(off[0] > 0.5 && off[1] < 0.3, "{off:?} voxels");
     let threads = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     assert_eq!(middle, threads.install(|| mesh(MeshSurface::Middle)));
-}
-
-#[test]
-fn options_out_of_range_are_refused() {
-    let (_, field) = crate::detect::tests::cylinder();
-    for (resolution, level) in [(7, 0.4), (513, 0.4), (usize::MAX, 0.4), (16, 0.0), (16, 1.0), (16, f32::NAN)] {
-        let options = MeshOptions { resolution, level, ..Default::default() };
-        assert!(matches!(field.mesh(&options), Err(Error::Option { .. })), "{options:?}");
-    }
 }
 
 #[test]

@@ -31,9 +31,6 @@ impl Given<'_> {
     }
 
     /// All clouds with the voxels that the options ask for.
-    ///
-    /// # Errors
-    /// The errors of [`prepare`](super::prepare()).
     pub(crate) fn prepare(&self, control: &Control) -> Result<Level> {
         let members = (0..self.points.len()).collect();
         Ok(Level { clouds: prepare_given(self, control)?, members })

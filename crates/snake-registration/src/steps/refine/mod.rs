@@ -115,10 +115,6 @@ pub fn refine(
 
 /// [`refine`] of transforms of single matches beside others. The support of the single matches and a
 /// finer image of the free space rank them too.
-///
-/// # Errors
-/// [`Error::Cancelled`](snake_core::Error::Cancelled) and
-/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
 pub(crate) fn refine_supported(
     pair: &Pair,
     matches: &[Match],

@@ -59,10 +59,6 @@ pub(crate) struct Voters {
 impl Voters {
     /// The transforms of matches of keypoints by their indices `[source, target]`; none unless the
     /// sensors of both clouds are known, since without free space the surroundings tell too little.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
-    /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub(crate) fn new(pair: &Pair, matches: &[[usize; 2]], control: &Control) -> Result<Self> {
         let num_keypoints = pair.clouds().map(|cloud| cloud.keypoints.len());
         let counter = control.begin("surroundings", num_keypoints.iter().sum());

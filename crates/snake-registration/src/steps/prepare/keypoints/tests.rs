@@ -1,14 +1,10 @@
 use super::*;
 use crate::options::Descriptor;
-use crate::steps::describe::fpfh::FPFH_DIMENSION;
+use crate::rigid::tests::sample;
 use crate::steps::prepare::Lengths;
 use Detector::{Fps, Harris3d, Iss, Random, Sift3d, Snake, SurfaceVariation, Voxels};
 use snake_core::{Builtin, Field, Model};
 use snake_geometry::{Neighbors, vector};
-
-fn sample() -> Vec<Point> {
-    snake_io::read_points(concat!(env!("CARGO_MANIFEST_DIR"), "/../../samples/plane.ply").as_ref()).unwrap()
-}
 
 fn with_model(cloud: VoxelCloud, model: &Model) -> VoxelCloud {
     let options = VoxelCloud::default_options(model, cloud.voxel_size);
@@ -73,14 +69,6 @@ fn spread_keypoints_have_the_wanted_number_and_cover_the_cloud() {
 }
 
 #[test]
-fn a_model_that_recommends_several_copies_encodes_one() {
-    let model = Model::named("standard").unwrap();
-    assert!(model.recommended().encode.rotations > 1);
-    let cloud = with_model(voxel_cloud(&sample(), 0.05), &model);
-    assert_eq!(keypoints(&cloud, Snake, 10).len(), 10);
-}
-
-#[test]
 fn the_model_runs_only_for_what_asks_for_its_field_and_once() {
     for name in Model::NAMES {
         let cloud = with_model(voxel_cloud(&sample(), 0.05), &Model::named(name).unwrap());
@@ -96,15 +84,8 @@ fn the_model_runs_only_for_what_asks_for_its_field_and_once() {
 }
 
 #[test]
-fn a_cloud_without_a_model_has_all_but_its_keypoints_and_descriptors() {
+fn a_cloud_without_a_model_has_neither_its_keypoints_nor_its_descriptors() {
     let cloud = voxel_cloud(&sample(), 0.05);
-    for detector in [Voxels, Iss, Harris3d, Sift3d, SurfaceVariation, Fps, Random] {
-        assert!(!keypoints(&cloud, detector, 10).is_empty(), "{detector:?}");
-    }
-    assert_eq!(
-        cloud.descriptors(&sample()[..3], Descriptor::Fpfh, &Control::default()).unwrap().len(),
-        3 * FPFH_DIMENSION
-    );
     let refused = [
         cloud.keypoints(Snake, 10, 0, &Control::default()).err(),
         cloud.spread_keypoints(Snake, 10, 0, &Control::default()).err(),
@@ -135,16 +116,4 @@ fn descriptors_are_rows_of_the_voxel_nearest_to_each_point() {
     let beside = voxels[3].map(|v| v + 1e-4);
     let fpfh = |points: &[Point]| cloud.descriptors(points, Descriptor::Fpfh, &Control::default()).unwrap();
     assert_eq!(fpfh(&[beside]), fpfh(&voxels[3..4]));
-}
-
-#[test]
-fn clouds_and_sizes_that_cannot_be_used_are_refused() {
-    let refused = |points: &[Point], size| {
-        let lengths = Lengths::from_spacing(size, size);
-        VoxelCloud::new(points, &lengths, &Control::default()).err().unwrap().to_string()
-    };
-    assert!(refused(&[], 0.1).contains("no points"));
-    assert!(refused(&[[f32::NAN; 3]; 2], 0.1).contains("finite"));
-    assert!(refused(&[[1.0; 3]; 4], 0.1).contains("two different"));
-    assert!(refused(&sample(), 0.0).contains("voxel_size"));
 }
