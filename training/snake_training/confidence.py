@@ -112,7 +112,7 @@ def isotonic(values, weights):
     return np.concatenate([np.full(length, value) for value, _, length in blocks])
 
 
-def fit(scores, hits, weights, number=12):
+def fit(scores, hits, weights, number=40):
     """At most `number` knots (K, 2) of score and probability: scores in bins of equal weight, isotonic."""
     order = scores.argsort()
     share = np.cumsum(weights[order]) / weights.sum()
