@@ -178,7 +178,7 @@ impl<'a, 'p> Search<'a, 'p> {
         }
         let mut registration = judge(pair, &matches, &candidates)?;
         if pair_options.initial.is_none() {
-            challenge(pair, &matches, &mut registration)?;
+            challenge(pair, &matches, &mut registration, options.icp_steps, control)?;
         }
         tried.matched = Some(Matched { is_signed: pair.is_signed(), indices, matches, guesses });
         Ok(registration)
@@ -204,7 +204,7 @@ impl<'a, 'p> Search<'a, 'p> {
         let count = REFINED.max(self.pair_options.hypotheses);
         let candidates = refine_supported(pair, matches, &voters, &guesses, self.options.icp_steps, count, control)?;
         let mut registration = judge(pair, matches, &candidates)?;
-        challenge(pair, matches, &mut registration)?;
+        challenge(pair, matches, &mut registration, self.options.icp_steps, control)?;
         tried.single = Some(registration.clone());
         Ok(registration)
     }

@@ -24,7 +24,7 @@ use crate::cloud::surface::{Surface, fitness};
 use crate::result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 use crate::steps::matches::{Match, inliers};
 use crate::steps::pair::Pair;
-use crate::steps::refine::Candidate;
+use crate::steps::refine::{Candidate, refine};
 use constraint::Constraint;
 use evidence::{Evidence, is_rival};
 use repeats::repeated_share;
@@ -32,7 +32,7 @@ use rivals::{Rival, rivals};
 pub(crate) use scale::best_scale;
 use scale::better_scale;
 use slide::slide_margin;
-use snake_core::{Error, Result};
+use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
 use standing::{contradicted_at_one_place, standing_note};
 use together::{Together, moved_together};
@@ -84,15 +84,21 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 }
 
 /// Compares a transform with others: the turns that lay the planes of the overlap on planes, the motions under which a cloud looks
-/// like itself, and the shifts after which details of the target repeat. One that explains significantly more is the answer
-/// instead, ambiguous and no more confident. If one explains the clouds about as well, a registration that is reliable or ambiguous becomes
+/// like itself, and the shifts after which details of the target repeat. One that explains significantly more, refined, is the
+/// answer instead, ambiguous and no more confident. If one explains the clouds about as well, a registration that is reliable or ambiguous becomes
 /// ambiguous and not reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
 /// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a
 /// mirror image fits better, or if scans that it puts at one place differ.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
-pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration) -> Result<()> {
+pub fn challenge(
+    pair: &Pair,
+    matches: &[Match],
+    registration: &mut Registration,
+    icp_steps: usize,
+    control: &Control,
+) -> Result<()> {
     // Nothing helps an open direction.
     if registration.verdict.confidence == 0.0 {
         return Ok(());
@@ -101,7 +107,8 @@ pub fn challenge(pair: &Pair, matches: &[Match], registration: &mut Registration
     let standing = contradicted_at_one_place(pair, transform)?;
     let mut equal = rivals(pair, transform, standing.is_some())?;
     if let Some(better) = equal.iter().filter(|rival| rival.is_better()).max_by_key(|rival| rival.gain()) {
-        let candidates = [better.transform, *transform].map(|at| Candidate::measure(pair, matches, &at.into()));
+        let mut candidates = refine(pair, matches, &[better.transform.into()], icp_steps, 1, control)?;
+        candidates.push(Candidate::measure(pair, matches, &(*transform).into()));
         let (note, confidence) = (better.note(transform), registration.verdict.confidence);
         *registration = judge(pair, matches, &candidates)?;
         let verdict = &mut registration.verdict;
