@@ -19,7 +19,7 @@ OPTIONS = [
     {"rotations": 3},
     {"rotations": 1},
     {"voxel_size": 0.1},
-    {"voxel_size": "3r", "max_keypoints": 5},
+    {"voxel_size": "3r", "max_keypoints": 5, "min_confidence": 0.0},
     {"normalization": "principal-axes"},
     {"preset": "keypointnet"},
     {"preset": "standard", "max_keypoints": 7},

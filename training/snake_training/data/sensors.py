@@ -181,8 +181,13 @@ def pair(rng):
             return first.astype(np.float32), second.astype(np.float32), matrix, overlap
 
 
-def write_frames(folder, pairs=30, seed=1, make=pair):
-    """`pairs` pairs of frames, or of what else `make` makes, and their list. A ValueError for less than one."""
+def write_frames(folder, pairs=30, seed=1):
+    """`pairs` pairs of frames, and their list. A ValueError for less than one."""
+    write_pairs(folder, pairs, seed, pair)
+
+
+def write_pairs(folder, pairs, seed, make):
+    """`write_frames` of pairs that `make` makes."""
     if pairs < 1:
         raise ValueError("pairs must be 1 or more")
     folder = Path(folder)

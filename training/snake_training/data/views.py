@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from .sensors import View, depth_camera, whole_view, write_frames
+from .sensors import View, depth_camera, whole_view, write_pairs
 from .shapes import box, moved, sample_surface
 from .solids import CUBE, Solids, about_axis
 from .worlds import any_turn, clutter
@@ -119,4 +119,4 @@ def bare_pair(rng):
 
 def write_bare(folder, pairs=30, seed=1):
     """`pairs` pairs of samples of bare rooms, and their list."""
-    write_frames(folder, pairs, seed, bare_pair)
+    write_pairs(folder, pairs, seed, bare_pair)
