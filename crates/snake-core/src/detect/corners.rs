@@ -16,6 +16,9 @@ const CORNER: f32 = 0.15;
 /// ... and this many times as much as the saliency.
 const WEIGHT: f32 = 3.0;
 
+/// What ranks add to the saliency is larger at corners, ends and tips: about so much at straight edges.
+pub(super) const EDGE: f32 = 0.4;
+
 /// The ranks of places as corners, ends and tips.
 pub(super) fn ranks(field: &Field, places: &[Place], scores: &[f32]) -> Result<Vec<f32>> {
     let positions: Vec<Point> = places.iter().map(|place| place.position).collect();

@@ -38,6 +38,9 @@ pub(super) fn finish(
     };
     let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
     let mut kept = suppress(&positions, &ranks, radii.nms, options.max_keypoints)?;
+    if options.prefer == Preference::Corners {
+        kept.retain(|&index| ranks[index] - scores[index] > corners::EDGE);
+    }
     if moves_to_surface {
         kept.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
     }

@@ -37,8 +37,8 @@ pub enum Preference {
     /// The most salient ones, as in the paper. Most of them are found again.
     #[default]
     Salient,
-    /// Those at corners, ends and tips. To the saliency is added the distance from the mean of the input points within three
-    /// voxels, as a share of this radius.
+    /// Those at corners, ends and tips, and no others. To the saliency is added the distance from the mean of the input points
+    /// within three voxels, as a share of this radius, and how much of a corner the planes make.
     Corners,
 }
 
@@ -97,7 +97,7 @@ options! {
         #[serde(deserialize_with = "none_if_zero")]
         nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";
-        /// Which keypoints come first: the most salient ones, or those at corners, ends and tips of the cloud.
+        /// Which keypoints come first: the most salient ones, or those at corners, ends and tips of the cloud, and no others.
         ///
         /// Tiles have the most salient ones. Corners are narrower than what repeats best: they have half the `mode_radius`.
         prefer, with_prefer: Preference = Preference::Salient, flag "KEYPOINTS";
