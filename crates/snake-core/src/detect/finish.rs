@@ -1,6 +1,6 @@
 //! From candidates to keypoints: modes, places, suppression, nearest points, confidence.
 
-use super::localize::{Place, localize};
+use super::localize::{Place, Surroundings, localize};
 use super::modes::{Modes, seek_modes};
 use super::surface::on_surface;
 use super::{Candidates, Detection, corners};
@@ -25,10 +25,14 @@ pub(super) fn finish(
     };
     let moves_to_planes = field.lattice().is_scene() || options.prefer == Preference::Corners;
     let moves_to_surface = radii.mode.is_some() && !moves_to_planes;
-    let (Modes { positions, scores }, surface_ranks) =
-        if moves_to_surface { on_surface(field, modes, radii.nms)? } else { (modes, Vec::new()) };
-    let places = match radii.mode {
-        Some(_) if moves_to_planes => localize(field, &positions)?,
+    let surroundings = radii.mode.map(|_| Surroundings::of(field));
+    let patches = surroundings.as_ref().map(Surroundings::patches).transpose()?;
+    let (Modes { positions, scores }, surface_ranks) = match &patches {
+        Some(patches) if !moves_to_planes => on_surface(field, patches, modes, radii.nms)?,
+        _ => (modes, Vec::new()),
+    };
+    let places = match &patches {
+        Some(patches) if moves_to_planes => localize(patches, &positions),
         _ => positions.into_iter().map(Place::unknown).collect(),
     };
     let ranks = match options.prefer {
@@ -45,8 +49,8 @@ pub(super) fn finish(
         kept.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
     }
     let (mut places, scores) = (selected(&places, &kept), selected(&scores, &kept));
-    if moves_to_surface {
-        let determined = localize(field, &selected(&positions, &kept))?;
+    if let (Some(patches), true) = (&patches, moves_to_surface) {
+        let determined = localize(patches, &selected(&positions, &kept));
         places.iter_mut().zip(determined).for_each(|(place, at)| place.covariance = at.covariance);
     }
     let points = field.finite_points();

@@ -4,11 +4,11 @@ use std::collections::{BTreeSet, HashMap};
 
 use rayon::prelude::*;
 
-use super::localize::{asked, shows_surface};
+use super::localize::{Patches, shows_surface};
 use super::modes::{Modes, weighted_mean};
 use crate::Result;
 use crate::field::Field;
-use snake_geometry::{Point, RadiusCells, nearest_points, vector};
+use snake_geometry::{Point, RadiusCells};
 
 /// A mode moves to the most salient point within this many voxels, in an object of radius 1 about 0.07 wide each, ...
 const SEARCH: f32 = 2.0;
@@ -24,13 +24,13 @@ const ON: f32 = 0.5;
 ///
 /// Moved modes meet. Where that leaves a gap in a list of keypoints `apart`, modes that lie on the surface already stand in: they come
 /// again, ranked after all others.
-pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Modes, Vec<f32>)> {
-    if modes.positions.is_empty() || !shows_surface(field)? {
+pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: f32) -> Result<(Modes, Vec<f32>)> {
+    if modes.positions.is_empty() || !shows_surface(patches, field.voxel_size())? {
         let ranks = modes.scores.clone();
         return Ok((modes, ranks));
     }
     let [search, mean, on] = [SEARCH, MEAN, ON].map(|voxels| voxels * field.voxel_size());
-    let points = &asked(field)[..];
+    let points = patches.points.points();
     let saliency = field.saliency(points)?;
     let weights: Vec<f32> = saliency.iter().map(|saliency| saliency.powi(POWER)).collect();
     let cells = RadiusCells::new(points, search)?;
@@ -53,13 +53,16 @@ pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Mod
     let mut ranks = modes.scores.clone();
     let mut scores = modes.scores;
     if apart > 0.0 {
-        let nearest = nearest_points(points, &modes.positions)?;
-        for (mode, (position, nearest)) in modes.positions.iter().zip(nearest).enumerate() {
-            if (vector(*position) - vector(points[nearest])).norm() < f64::from(on) {
-                positions.push(*position);
-                ranks.push(scores[mode] - 1.0);
-                scores.push(scores[mode]);
-            }
+        let lies_on = |position: &Point| {
+            let mut is_near = false;
+            cells.within(position, on, |_| is_near = true);
+            is_near
+        };
+        let on_already: Vec<bool> = modes.positions.par_iter().map(lies_on).collect();
+        for mode in (0..on_already.len()).filter(|&mode| on_already[mode]) {
+            positions.push(modes.positions[mode]);
+            ranks.push(scores[mode] - 1.0);
+            scores.push(scores[mode]);
         }
     }
     Ok((Modes { positions, scores }, ranks))
@@ -68,10 +71,11 @@ pub(super) fn on_surface(field: &Field, modes: Modes, apart: f32) -> Result<(Mod
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detect::localize::Surroundings;
 
     fn placed(field: &Field, positions: &[Point], apart: f32) -> Vec<Point> {
         let modes = Modes { positions: positions.to_vec(), scores: vec![0.5; positions.len()] };
-        on_surface(field, modes, apart).unwrap().0.positions
+        on_surface(field, &Surroundings::of(field).patches().unwrap(), modes, apart).unwrap().0.positions
     }
 
     /// A box of 0.3 by 1 by 0.4, thin enough that modes of both sides meet in its middle.

@@ -96,7 +96,7 @@ impl<'a> RadiusCells<'a> {
 
     /// The number of a position's cell along x, y and z.
     fn cell(&self, position: &Point) -> [u64; 3] {
-        position.map(|value| number((f64::from(value) / self.side).floor()))
+        position.map(|value| number(floor(f64::from(value) / self.side)))
     }
 
     /// The numbers of the cells before, at and after a coordinate that a radius reaches. Far from zero, where cells are finer
@@ -104,8 +104,8 @@ impl<'a> RadiusCells<'a> {
     fn reached(&self, value: f32, radius: f32) -> [Option<u64>; 3] {
         let reach = f64::from(radius) * MARGIN / self.side;
         let place = f64::from(value) / self.side;
-        let cell = place.floor();
-        let middle = number(cell);
+        let middle = number(floor(place));
+        let cell = floor(place) as f64;
         [
             (place - cell <= reach).then_some(middle.wrapping_sub(1) & LAST),
             Some(middle),
@@ -114,9 +114,15 @@ impl<'a> RadiusCells<'a> {
     }
 }
 
+/// The integer at or below a place. Places beyond all integers have the last one.
+fn floor(place: f64) -> i64 {
+    let whole = place as i64;
+    if whole as f64 > place { whole.saturating_sub(1) } else { whole }
+}
+
 /// The number of a cell along an axis.
-fn number(cell: f64) -> u64 {
-    cell.rem_euclid((LAST + 1) as f64) as u64
+fn number(cell: i64) -> u64 {
+    cell as u64 & LAST
 }
 
 /// One number for a cell.

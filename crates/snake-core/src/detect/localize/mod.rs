@@ -18,7 +18,8 @@ use std::borrow::Cow;
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
-use self::patches::{Anchors, Patches, first_of_cells};
+pub(crate) use self::patches::Patches;
+use self::patches::{Anchors, first_of_cells};
 use crate::Result;
 use crate::field::Field;
 use snake_geometry::{Covariance, Point, Vector, resolution, vector};
@@ -83,75 +84,72 @@ impl Place {
     }
 }
 
-/// Where keypoints of a field lie exactly.
-///
-/// # Errors
-/// [`crate::Error::Input`] for more points than [`u32::MAX`].
-pub(crate) fn localize(field: &Field, keypoints: &[Point]) -> Result<Vec<Place>> {
-    let (points, radius) = (asked(field), radius(field));
-    by_planes(&points, &anchors(field, &points), keypoints, radius)
+/// Points that show where keypoints lie.
+pub(crate) struct Surroundings<'a> {
+    points: Cow<'a, [Point]>,
+    anchors: Anchors,
+    /// The radius within which planes determine a keypoint.
+    radius: f32,
 }
 
-/// Whether the points of a field show its surface: they are dense, and enough patches are flat, with certain normals. Thin bodies
+impl<'a> Surroundings<'a> {
+    /// All points of a scene; of an object every second, third and so on if it has too many.
+    pub(crate) fn of(field: &'a Field) -> Self {
+        let (points, normalization) = (field.points(), field.normalization());
+        let ([scene, object], is_scene) = (RADIUS, field.lattice().is_scene());
+        let radius = field.voxel_size() * if is_scene { scene } else { object };
+        let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
+        let points: Cow<[Point]> =
+            if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
+        // The cells lie in the frame of the network, so that a moved scene has the same.
+        let cell = |point| normalization.to_network(point).map(|v| v * normalization.scale / (PATCHES[0] * radius));
+        Self { anchors: first_of_cells(&points, cell), points, radius }
+    }
+
+    /// Their planar patches.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for more points than [`u32::MAX`].
+    pub(crate) fn patches(&self) -> Result<Patches<'_>> {
+        Patches::new(&self.points, &self.anchors, self.radius)
+    }
+}
+
+/// Whether points show the surface between voxels: they are dense, and enough patches are flat, with certain normals. Thin bodies
 /// have patches with points of both sides, which are not flat; points with noise hardly have any that are.
 ///
 /// # Errors
-/// [`crate::Error::Input`] for more points than [`u32::MAX`].
-pub(super) fn shows_surface(field: &Field) -> Result<bool> {
-    let points = asked(field);
-    if resolution("points", &points)? > DENSE * f64::from(field.voxel_size()) {
+/// [`crate::Error::Input`] when a coordinate is not finite.
+pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> {
+    if resolution("points", patches.points.points())? > DENSE * f64::from(voxel_size) {
         return Ok(false);
     }
-    let anchors = anchors(field, &points);
-    let patches = Patches::new(&points, &anchors, radius(field))?;
+    let number = patches.anchors.points().len();
     let is_certain = |anchor: &usize| patches.at(*anchor).is_some_and(|patch| patch.is_certain());
-    let asked: Vec<usize> = (0..anchors.points.len()).step_by(anchors.points.len().div_ceil(SURVEY).max(1)).collect();
-    let number = asked.par_iter().filter(|anchor| is_certain(anchor)).count();
-    Ok(number as f32 > SHOWN * asked.len() as f32)
+    let asked: Vec<usize> = (0..number).step_by(number.div_ceil(SURVEY).max(1)).collect();
+    let certain = asked.par_iter().filter(|anchor| is_certain(anchor)).count();
+    Ok(certain as f32 > SHOWN * asked.len() as f32)
 }
 
-/// The points that are asked: all of a scene; of an object every second, third and so on if it has too many.
-pub(super) fn asked(field: &Field) -> Cow<'_, [Point]> {
-    let points = field.points();
-    if field.lattice().is_scene() || points.len() <= MANY {
-        return points.into();
-    }
-    points.iter().step_by(points.len().div_ceil(MANY)).copied().collect()
+/// Where keypoints lie exactly.
+pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
+    keypoints.par_iter().map(|keypoint| place(patches, *keypoint)).collect()
 }
 
-/// The radius within which planes determine a keypoint.
-fn radius(field: &Field) -> f32 {
-    let [scene, object] = RADIUS;
-    field.voxel_size() * if field.lattice().is_scene() { scene } else { object }
-}
-
-/// Where patches lie: the first point of each cell. The cells lie in the frame of the network, so that a moved scene has the same.
-fn anchors(field: &Field, points: &[Point]) -> Anchors {
-    let (normalization, side) = (field.normalization(), PATCHES[0] * radius(field));
-    first_of_cells(points, |point| normalization.to_network(point).map(|v| v * normalization.scale / side))
-}
-
-fn by_planes(points: &[Point], anchors: &Anchors, keypoints: &[Point], radius: f32) -> Result<Vec<Place>> {
-    let patches = Patches::new(points, anchors, radius)?;
-    Ok(keypoints.par_iter().map(|keypoint| place(&patches, *keypoint, radius)).collect())
-}
-
-fn place(patches: &Patches, keypoint: Point, radius: f32) -> Place {
+fn place(patches: &Patches, keypoint: Point) -> Place {
     let mut number = 0_u32;
-    patches.anchors.within(&keypoint, radius, |_| number += 1);
-    let radius = radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
-    let mut place = Place::unknown(keypoint);
-    let mut at = keypoint;
+    patches.anchors.within(&keypoint, patches.radius, |_| number += 1);
+    let radius = patches.radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
+    let (mut at, mut last) = (keypoint, None);
     for tolerance in TOLERANCES {
         let planes = Planes::near(patches, &at, radius, tolerance * f64::from(radius));
-        let Some(nearest) = planes.nearest(&at) else { return Place::unknown(keypoint) };
-        if (nearest - vector(keypoint)).norm() > f64::from(radius) {
-            return Place::unknown(keypoint);
-        }
+        let is_near = |nearest: &Vector| (nearest - vector(keypoint)).norm() <= f64::from(radius);
+        let Some(nearest) = planes.nearest(&at).filter(is_near) else { return Place::unknown(keypoint) };
         at = nearest.map(|v| v as f32).into();
-        place = planes.place(vector(keypoint), nearest, f64::from(radius));
+        last = Some((planes, nearest));
     }
-    place
+    let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, f64::from(radius));
+    last.map_or(Place::unknown(keypoint), place)
 }
 
 /// Weighted sums over the patches near a position, relative to it.

@@ -28,8 +28,8 @@ const MIN_POINTS: usize = 6;
 /// Smallest ratio of the variances along a patch: points on one beam have no plane.
 const MIN_WIDTH: f64 = 0.05;
 
-/// The first search takes points within this share of the reach.
-const FIRST_REACH: f32 = 0.4;
+/// Where a cell has at least this many points, the first search takes points within this share of the reach.
+const FIRST_REACH: (f64, f32) = (4.0, 0.4);
 
 /// The plane through some points, relative to a point of the cloud.
 #[derive(Debug, Clone, Copy)]
@@ -75,8 +75,10 @@ pub(super) fn first_of_cells(points: &[Point], cell: impl Fn(Point) -> Point) ->
 }
 
 /// The patches at some points of a cloud, each computed when it is first needed.
-pub(super) struct Patches<'a> {
-    points: RadiusCells<'a>,
+pub(crate) struct Patches<'a> {
+    pub(crate) points: RadiusCells<'a>,
+    /// The radius within which they determine a place.
+    pub(super) radius: f32,
     pub(super) anchors: RadiusCells<'a>,
     counts: &'a [u32],
     patches: Vec<OnceLock<Option<Patch>>>,
@@ -86,6 +88,7 @@ impl<'a> Patches<'a> {
     /// The patches at anchors, for places that planes within `radius` determine.
     pub(super) fn new(points: &'a [Point], anchors: &'a Anchors, radius: f32) -> Result<Self> {
         Ok(Self {
+            radius,
             points: RadiusCells::new(points, PATCHES[1] * radius)?,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
@@ -100,44 +103,103 @@ impl<'a> Patches<'a> {
     }
 
     fn fitted(&self, at: &Point, in_cell: f64) -> Option<Patch> {
-        let mut reach = FIRST_REACH * self.points.radius();
+        let (many, share) = FIRST_REACH;
+        let mut reach = if in_cell < many { 1.0 } else { share } * self.points.radius();
         let mut near = self.near(at, reach);
-        let mut patch: Option<Patch> = None;
+        let (mut sums, mut best) = (Sums::default(), None::<(f64, Sums)>);
         for size in SIZES {
             if near.len() < size && reach < self.points.radius() {
                 reach = self.points.radius();
                 near = self.near(at, reach);
             }
-            let next = fit(&near[..size.min(near.len())], in_cell);
-            let is_steadier = |patch: &Patch| next.is_none_or(|next| next.tilt > patch.tilt);
-            patch = patch.filter(is_steadier).or(next);
-            let is_enough = |patch: Patch| patch.tilt < ENOUGH && patch.flatness < MAX_FLATNESS;
-            if patch.is_some_and(is_enough) || size >= near.len() {
+            near.iter().take(size).skip(sums.count).for_each(|&(_, index)| sums.add(&self.offset(at, index)));
+            let steadiness = sums.tilt_and_flatness();
+            if let Some((tilt, _)) = steadiness.filter(|(tilt, _)| best.is_none_or(|(least, _)| *tilt <= least)) {
+                best = Some((tilt, sums));
+            }
+            let is_enough = |(tilt, flatness)| tilt < ENOUGH && flatness < MAX_FLATNESS;
+            if steadiness.is_some_and(is_enough) || size >= near.len() {
                 break;
             }
         }
-        patch
+        best.map(|(_, sums)| sums.plane(in_cell))
     }
 
-    /// Offsets of the points near a place, nearest first.
-    fn near(&self, at: &Point, reach: f32) -> Vec<Vector> {
+    /// The points near a place by their squared distance from it, nearest first.
+    fn near(&self, at: &Point, reach: f32) -> Vec<(f64, usize)> {
         let mut near = Vec::new();
-        self.points.within(at, reach, |index| {
-            let offset = vector(self.points.points()[index]) - vector(*at);
-            near.push((offset.norm_squared(), index, offset));
-        });
+        self.points.within(at, reach, |index| near.push((self.offset(at, index).norm_squared(), index)));
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.into_iter().map(|(_, _, offset)| offset).collect()
+        near
+    }
+
+    fn offset(&self, at: &Point, index: usize) -> Vector {
+        vector(self.points.points()[index]) - vector(*at)
     }
 }
 
-/// The plane of least squares, at an anchor with so many points in its cell; `None` for few points, and for points on a line.
-fn fit(points: &[Vector], in_cell: f64) -> Option<Patch> {
-    let count = points.len() as f64;
-    let mean = points.iter().sum::<Vector>() / count;
-    let scatter: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
-    let ([across, width, length], normal) = eigen(scatter / count);
-    let is_plane = points.len() >= MIN_POINTS && width > MIN_WIDTH * length;
-    let flatness = across.max(0.0) / width;
-    is_plane.then(|| Patch { mean, normal, tilt: (flatness / count).sqrt(), flatness, own: (in_cell / count).min(1.0) })
+/// Sums over points, relative to the anchor.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    count: usize,
+    offsets: Vector,
+    products: Matrix3<f64>,
+}
+
+impl Sums {
+    fn add(&mut self, offset: &Vector) {
+        self.count += 1;
+        self.offsets += offset;
+        self.products += offset * offset.transpose();
+    }
+
+    fn mean_and_covariance(&self) -> (Vector, Matrix3<f64>) {
+        let count = self.count as f64;
+        let mean = self.offsets / count;
+        (mean, self.products / count - mean * mean.transpose())
+    }
+
+    /// Of the plane of least squares; `None` for few points, and for points on a line.
+    fn tilt_and_flatness(&self) -> Option<(f64, f64)> {
+        let [across, width, length] = eigenvalues(&self.mean_and_covariance().1);
+        let flatness = across.max(0.0) / width;
+        let is_plane = self.count >= MIN_POINTS && width > MIN_WIDTH * length;
+        is_plane.then(|| ((flatness / self.count as f64).sqrt(), flatness))
+    }
+
+    /// The plane of least squares, at an anchor with so many points in its cell.
+    fn plane(&self, in_cell: f64) -> Patch {
+        let (mean, covariance) = self.mean_and_covariance();
+        let ([across, width, _], normal) = eigen(covariance);
+        let (count, flatness) = (self.count as f64, across.max(0.0) / width);
+        Patch { mean, normal, tilt: (flatness / count).sqrt(), flatness, own: (in_cell / count).min(1.0) }
+    }
+}
+
+/// The eigenvalues of a symmetric matrix, ascending (Smith 1961, "Eigenvalues of a symmetric 3 × 3 matrix").
+fn eigenvalues(matrix: &Matrix3<f64>) -> [f64; 3] {
+    let mean = matrix.trace() / 3.0;
+    let deviator = matrix - Matrix3::identity() * mean;
+    let scale = (deviator.norm_squared() / 6.0).sqrt();
+    if scale == 0.0 {
+        return [mean; 3];
+    }
+    let angle = (0.5 * (deviator / scale).determinant()).clamp(-1.0, 1.0).acos() / 3.0;
+    let (largest, least) =
+        (mean + 2.0 * scale * angle.cos(), mean + 2.0 * scale * (angle + 2.0 / 3.0 * std::f64::consts::PI).cos());
+    [least, 3.0 * mean - largest - least, largest]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eigenvalues_are_those_of_the_iteration() {
+        for offsets in [[[1.0, 0.2, 0.0], [0.3, 2.0, 0.0]], [[1e-3, 0.0, 5.0], [4.0, 1.0, 1e-4]], [[0.0; 3]; 2]] {
+            let matrix: Matrix3<f64> = offsets.map(Vector::from).iter().map(|v| v * v.transpose()).sum();
+            let (plain, closed) = (eigen(matrix).0, eigenvalues(&matrix));
+            assert!((0..3).all(|i| (plain[i] - closed[i]).abs() < 1e-14 * (1.0 + plain[2])), "{plain:?} {closed:?}");
+        }
+    }
 }

@@ -28,7 +28,7 @@ fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
 
 fn localized(points: &[Point], start: Point) -> Place {
     let anchors = first_of_cells(points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
-    by_planes(points, &anchors, &[start], 0.25).unwrap()[0]
+    localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start])[0]
 }
 
 fn distance(a: Point, b: Point) -> f32 {

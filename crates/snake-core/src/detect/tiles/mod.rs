@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::localize::{Place, localize};
+use super::localize::{Place, Surroundings, localize};
 use super::modes::{SHIFT, modes_of};
 use super::{Candidates, Counts, candidates, diagonal};
 use crate::cloud::UsedCloud;
@@ -261,7 +261,7 @@ impl TileDetector {
                 return Ok(None);
             };
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
-            let places = localize(&field, &positions)?;
+            let places = localize(&Surroundings::of(&field).patches()?, &positions);
             let localized = |(candidate, place): (Candidate, Place)| {
                 let rank = place.rank(candidate.saliency);
                 Candidate { position: place.position, covariance: place.covariance, rank, ..candidate }
