@@ -3,7 +3,8 @@
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
-The score counts, and how well the points determine the place: each halving of the largest standard deviation adds to the score.
+The score counts, and how well the points determine the place: each halving of the standard deviation along each of three directions
+adds to the score.
 Pairs are used as they are, thinned, and with noise. Half of the objects or of the pairs is for the fit, the other half for the
 expected calibration error that is printed; folders of `--test` are only for that. Detection is that of snake-rs with the options
 that the file recommends. A keypoint is found again if one of the other view lies within 4 % of the radius of an object, or two
@@ -27,7 +28,7 @@ from .export import replacing
 
 OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
 SCENE_SHARE = 104  # the reach is at most this part of a scene's diagonal: sparse points have large voxels
-DEVIATIONS = 0.06, 0.6  # smaller and larger standard deviations count as these, in voxels
+PROBE = {"knots": [[-1.0, 0.0], [63.0, 1.0]], "precision": 1.0}  # with it, confidences say what the map is given
 MIN_SCORE_WEIGHT = 0.1  # of the logistic function
 DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
 MIN_POINTS = 2000  # of a thinned cloud
@@ -40,13 +41,10 @@ def repeated(points, others, reach):
 
 
 def features_of(keypoints):
-    """The score, and how often the largest standard deviation is halved, from the largest one that counts: (K, 2)."""
-    covariance = np.asarray(keypoints.covariance, float)
-    is_known = np.isfinite(covariance).all(axis=(1, 2))
-    deviation = np.full(len(covariance), np.inf)
-    deviation[is_known] = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[is_known])[:, -1], 0))
-    halvings = np.log2(DEVIATIONS[1] / np.clip(deviation / keypoints.voxel_size, *DEVIATIONS))
-    return np.column_stack([keypoints.saliency, halvings])
+    """The score, and how often the standard deviations are halved, of keypoints of a `probe`: (K, 2)."""
+    (low, _), (high, _) = PROBE["knots"]
+    evidence = low + (high - low) * keypoints.confidence
+    return np.column_stack([keypoints.saliency, evidence - keypoints.saliency])
 
 
 def of_objects(model, shapes, number, points, rotations):
@@ -148,17 +146,17 @@ def write_map(path, fitted):
         save_file(tensors, temporary, metadata=metadata | {"confidence": json.dumps(fitted)})
 
 
-def unfiltered(path):
-    """The model of a weight file without the `min_confidence` that it recommends: the map is fitted to all keypoints, and a file
-    without a map refuses that option."""
+def probe(path):
+    """The model of a weight file with the map `PROBE`, and without the `min_confidence` that it recommends: the map is fitted to all
+    keypoints."""
     import snake_rs
 
     with safe_open(path, "numpy") as file:
         metadata = file.metadata()
     options = json.loads(metadata.get("recommended_options") or "{}")
-    if options.get("detect", {}).pop("min_confidence", None) is None:
-        return snake_rs.Model.load(path)
-    return snake_rs.Model.from_bytes(save(load_file(path), metadata | {"recommended_options": json.dumps(options)}))
+    options.get("detect", {}).pop("min_confidence", None)
+    metadata |= {"recommended_options": json.dumps(options), "confidence": json.dumps(PROBE)}
+    return snake_rs.Model.from_bytes(save(load_file(path), metadata))
 
 
 def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, rotations=(1,), write=True):
@@ -167,7 +165,7 @@ def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, ro
 
     objects: a corpus folder or a folder of clouds, each measured with all `rotations`. pairs, test: folders of scenes.
     """
-    model = unfiltered(path)
+    model = probe(path)
     sets = {str(folder): of_pairs(model, Path(folder), number) for folder in pairs}
     if objects:
         shapes = open_shapes(objects)

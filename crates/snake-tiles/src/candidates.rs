@@ -1,4 +1,4 @@
-//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start`, `rank`,
+//! The candidates of a tile on disk, as safetensors: `position` `(N, 3)`, `saliency`, `occupancy`, `start`, `rank`, `confidence`,
 //! `covariance` `(N, 3, 3)` and `cell` `(N, 3)`. The metadata has the bounds of the positions along x and y, and the counts.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -40,7 +40,7 @@ pub(crate) fn write(folder: &RunFolder, place: [i32; 2], found: &TileCandidates)
     let covariances: Vec<u8> =
         candidates.iter().flat_map(|c| c.covariance.rows()).flatten().flat_map(f32::to_ne_bytes).collect();
     let (saliency, occupancy, start) = (of(|c| c.saliency), of(|c| c.occupancy), of(|c| c.start));
-    let rank = of(|c| c.rank);
+    let (rank, confidence) = (of(|c| c.rank), of(|c| c.confidence.unwrap_or(f32::NAN)));
     let number = candidates.len();
     let tensors = [
         ("position", Dtype::F32, vec![number, 3], &positions),
@@ -48,6 +48,7 @@ pub(crate) fn write(folder: &RunFolder, place: [i32; 2], found: &TileCandidates)
         ("occupancy", Dtype::F32, vec![number], &occupancy),
         ("start", Dtype::F32, vec![number], &start),
         ("rank", Dtype::F32, vec![number], &rank),
+        ("confidence", Dtype::F32, vec![number], &confidence),
         ("covariance", Dtype::F32, vec![number, 3, 3], &covariances),
         ("cell", Dtype::I32, vec![number, 3], &cells),
     ]
@@ -87,12 +88,13 @@ fn parse(bytes: &[u8]) -> std::result::Result<Vec<Candidate>, String> {
     let of = |name| data(name).map(bytemuck::pod_collect_to_vec::<u8, f32>);
     let covariances: Vec<[[f32; 3]; 3]> = bytemuck::pod_collect_to_vec(data("covariance")?);
     let [saliency, occupancy, start] = [of("saliency")?, of("occupancy")?, of("start")?];
-    let rank = of("rank")?;
+    let [rank, confidence] = [of("rank")?, of("confidence")?];
     let candidate = |i: usize| {
         Some(Candidate {
             position: *positions.get(i)?,
             saliency: *saliency.get(i)?,
             occupancy: *occupancy.get(i)?,
+            confidence: Some(*confidence.get(i)?).filter(|confidence| !confidence.is_nan()),
             covariance: (*covariances.get(i)?).into(),
             rank: *rank.get(i)?,
             start: *start.get(i)?,

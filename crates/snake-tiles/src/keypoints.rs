@@ -115,13 +115,12 @@ impl TiledRun {
     /// Keypoints from candidates and the places of their tiles.
     fn with_nearest(&self, kept: Vec<(Candidate, [i32; 2])>, control: &Control) -> Result<Vec<TiledKeypoint>> {
         let least = self.detector.options().detect.min_confidence;
-        let is_good = |candidate: &Candidate| least.is_none() || self.detector.confidence(candidate) >= least;
+        let is_good = |candidate: &Candidate| least.is_none() || candidate.confidence >= least;
         let kept: Vec<_> = kept.into_iter().filter(|(candidate, _)| is_good(candidate)).collect();
         let positions: Vec<Point> = kept.iter().map(|(candidate, _)| candidate.position).collect();
         let nearest = self.nearest(&positions, control)?;
         let keypoint = |((candidate, tile), nearest): ((Candidate, [i32; 2]), u64)| {
-            let confidence = self.detector.confidence(&candidate);
-            let Candidate { position, saliency, occupancy, covariance, rank, start, cell, .. } = candidate;
+            let Candidate { position, saliency, occupancy, confidence, covariance, rank, start, cell, .. } = candidate;
             let nearest_index = nearest as usize;
             let keypoint = Keypoint { position, saliency, occupancy, nearest_index, confidence, covariance };
             TiledKeypoint { keypoint, tile, rank, start, cell }

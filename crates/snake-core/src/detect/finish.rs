@@ -51,7 +51,7 @@ pub(super) fn finish(
     let (mut places, scores) = (selected(&places, &kept), selected(&scores, &kept));
     if let (Some(patches), true) = (&patches, moves_to_surface) {
         let determined = localize(patches, &selected(&positions, &kept));
-        places.iter_mut().zip(determined).for_each(|(place, at)| place.covariance = at.covariance);
+        places.iter_mut().zip(determined).for_each(|(place, at)| *place = Place { position: place.position, ..at });
     }
     let points = field.finite_points();
     let positions: Vec<Point> = places.iter().map(|place| place.position).collect();
@@ -66,7 +66,7 @@ pub(super) fn finish(
         saliency: scores[rank],
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
-        confidence: field.network().confidence(scores[rank], &places[rank].covariance, field.voxel_size()),
+        confidence: field.network().confidence(scores[rank], places[rank].deviations, field.voxel_size()),
         covariance: places[rank].covariance,
     };
     let is_kept = |keypoint: &Keypoint| options.min_confidence.is_none_or(|min| keypoint.confidence >= Some(min));

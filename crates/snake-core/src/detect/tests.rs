@@ -50,6 +50,27 @@ fn corners_come_first_where_they_are_preferred() {
 }
 
 #[test]
+fn preferred_corners_of_a_box_are_its_corners_and_no_edges() {
+    let sides = [1.0, 0.7, 0.5];
+    let golden = |i: usize, k: f64| (i as f64 * k).fract() as f32;
+    let on_side = |i: usize| {
+        let mut point = [golden(i, 0.819_172_5), golden(i, 0.671_043_6), golden(i, 0.549_700_5)];
+        point[i % 3] = (i / 3 % 2) as f32;
+        std::array::from_fn(|axis| sides[axis] * point[axis])
+    };
+    let points: Vec<Point> = (0..8000).map(on_side).collect();
+    let model = Model::builtin(Builtin::Compact);
+    let mut options = *model.recommended();
+    options.detect.prefer = Preference::Corners;
+    let keypoints = model.detect(&points, &options).unwrap().keypoints;
+    assert!(keypoints.len() <= 10, "{}", keypoints.len());
+    for corner in (0..8).map(|i| [0, 1, 2].map(|axis| sides[axis] * (i >> axis & 1) as f32)) {
+        let distance = |k: &Keypoint| (0..3).map(|axis| (k.position[axis] - corner[axis]).powi(2)).sum::<f32>().sqrt();
+        assert!(keypoints.iter().any(|keypoint| distance(keypoint) < 0.05), "{corner:?}");
+    }
+}
+
+#[test]
 fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
     let (points, field) = cylinder();
     let detect = |radius: Length| {

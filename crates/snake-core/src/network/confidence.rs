@@ -4,7 +4,6 @@ use serde::Deserialize;
 
 use crate::Result;
 use crate::network::weights::{self, Weights};
-use snake_geometry::Covariance;
 
 /// Knots, at most.
 const MAX_KNOTS: usize = 64;
@@ -18,7 +17,7 @@ const DEVIATIONS: [f32; 2] = [0.06, 0.6];
 pub(crate) struct ConfidenceMap {
     /// Evidence and probability, by rising evidence.
     knots: Vec<[f32; 2]>,
-    /// What each halving of the largest standard deviation adds to the score.
+    /// What each halving of the standard deviation along a direction adds to the score.
     precision: f32,
 }
 
@@ -58,12 +57,12 @@ impl ConfidenceMap {
         if is_map { Ok(Some(map)) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability of a keypoint's score and covariance in a volume of this voxel size: linear between knots, that of the first
+    /// The probability of a keypoint's score and standard deviations along three directions in a volume of this voxel size: linear between knots, that of the first
     /// or the last knot beyond them.
-    pub(crate) fn at(&self, score: f32, covariance: &Covariance, voxel_size: f32) -> f32 {
+    pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> f32 {
         let [low, high] = DEVIATIONS;
-        let deviation = (covariance.deviation() / voxel_size).clamp(low, high);
-        let evidence = score + self.precision * (high / deviation).log2();
+        let halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());
+        let evidence = score + self.precision * halvings.iter().sum::<f32>();
         let next = self.knots.partition_point(|knot| knot[0] <= evidence);
         match (next.checked_sub(1).map(|last| self.knots[last]), self.knots.get(next)) {
             (Some([low, from]), Some([high, to])) => from + (to - from) * ((evidence - low) / (high - low)),
@@ -78,7 +77,6 @@ impl ConfidenceMap {
 mod tests {
     use crate::{Builtin, Error, Model};
     use safetensors::SafeTensors;
-    use snake_geometry::Covariance;
 
     /// The model `compact` with another map; `None` is none.
     fn model(map: Option<&str>) -> crate::Result<Model> {
@@ -102,7 +100,7 @@ mod tests {
         let map = model.network().confidence.as_ref().unwrap();
         let scores = [-1.0, 0.0, 0.25, 0.4, 0.5, 0.625, 0.75, 0.9, f32::INFINITY];
         assert_eq!(
-            scores.map(|score| map.at(score, &Covariance::UNKNOWN, 1.0)),
+            scores.map(|score| map.at(score, [f32::INFINITY; 3], 1.0)),
             [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]
         );
     }
@@ -111,12 +109,12 @@ mod tests {
     fn each_halving_of_the_deviation_counts_like_so_much_score() {
         let model = model(Some(r#"{"knots": [[0.0, 0.0], [2.0, 1.0]], "precision": 0.5}"#)).unwrap();
         let map = model.network().confidence.as_ref().unwrap();
-        let of = |deviation: f64| Covariance::along(&nalgebra::Matrix3::identity(), [deviation.powi(2); 3]);
+        let of = |deviation: f32| [deviation, f32::INFINITY, 9.0];
         for (score, deviation, evidence) in [(0.5, 0.6, 0.5), (0.5, 0.3, 1.0), (0.5, 0.15, 1.5), (0.25, 9.0, 0.25)] {
-            assert!((map.at(score, &of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
+            assert!((map.at(score, of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
         }
-        assert_eq!(map.at(0.5, &Covariance::UNKNOWN, 0.2), 0.25);
-        assert_eq!(map.at(0.5, &of(1e-9), 0.2), map.at(0.5, &of(0.012), 0.2));
+        assert_eq!(map.at(0.5, [f32::INFINITY; 3], 0.2), 0.25);
+        assert_eq!(map.at(0.5, of(1e-9), 0.2), map.at(0.5, of(0.012), 0.2));
     }
 
     #[test]

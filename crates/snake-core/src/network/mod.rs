@@ -21,7 +21,6 @@ use crate::network::decoder::Decoder;
 use crate::network::encoder::Encoder;
 use crate::network::weights::Weights;
 use crate::options::Options;
-use snake_geometry::Covariance;
 
 /// Encoder and decoders.
 #[derive(Debug)]
@@ -61,8 +60,8 @@ impl Network {
         Ok(network)
     }
 
-    /// The probability that another view finds a keypoint again, by its score and covariance in a volume of this voxel size.
-    pub(crate) fn confidence(&self, score: f32, covariance: &Covariance, voxel_size: f32) -> Option<f32> {
-        self.confidence.as_ref().map(|map| map.at(score, covariance, voxel_size))
+    /// The probability that another view finds a keypoint again, by its score and standard deviations in a volume of this voxel size.
+    pub(crate) fn confidence(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> Option<f32> {
+        self.confidence.as_ref().map(|map| map.at(score, deviations, voxel_size))
     }
 }

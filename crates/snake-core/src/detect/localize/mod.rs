@@ -65,6 +65,8 @@ const MIN_RESIDUAL: f64 = 1e-4;
 pub(crate) struct Place {
     pub(crate) position: Point,
     pub(crate) covariance: Covariance,
+    /// The standard deviations along three directions, in cloud units; infinite along those that are open.
+    pub(crate) deviations: [f32; 3],
     /// The share of the weights along the direction that is known least: a third at the corner of a cube, about 0 where a
     /// direction is open.
     pub(crate) corner: f32,
@@ -80,7 +82,7 @@ impl Place {
 
     /// A position of which nothing is known.
     pub(crate) fn unknown(position: Point) -> Self {
-        Self { position, covariance: Covariance::UNKNOWN, corner: 0.0 }
+        Self { position, covariance: Covariance::UNKNOWN, deviations: [f32::INFINITY; 3], corner: 0.0 }
     }
 }
 
@@ -215,6 +217,7 @@ impl Planes {
         Place {
             position: position.map(|v| v as f32).into(),
             covariance: Covariance::along(&eigenvectors, variances),
+            deviations: variances.map(|variance| variance.sqrt() as f32),
             corner: corner as f32,
         }
     }

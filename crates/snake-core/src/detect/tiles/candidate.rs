@@ -12,6 +12,8 @@ pub struct Candidate {
     pub saliency: f32,
     /// Occupancy in [0, 1] at the position.
     pub occupancy: f32,
+    /// See [`Keypoint::confidence`](crate::Keypoint::confidence).
+    pub confidence: Option<f32>,
     /// Covariance of the position.
     pub covariance: Covariance,
     /// What candidates are ranked by: the score, and after localization also what the points determine.

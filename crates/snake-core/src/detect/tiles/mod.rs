@@ -152,11 +152,6 @@ impl TileDetector {
         &self.options
     }
 
-    /// The confidence of a keypoint, see [`Keypoint::confidence`](crate::Keypoint::confidence).
-    pub fn confidence(&self, candidate: &Candidate) -> Option<f32> {
-        self.network.confidence(candidate.saliency, &candidate.covariance, self.voxel_size)
-    }
-
     /// The radius of suppression in cloud units; 0 for no suppression.
     pub fn nms_radius(&self) -> f32 {
         self.radii.nms
@@ -249,7 +244,8 @@ impl TileDetector {
             let candidate = |(&position, &saliency)| {
                 let cell = self.voxel(&position)?;
                 let (covariance, rank, start) = (Covariance::UNKNOWN, saliency, saliency);
-                Ok(Candidate { position, saliency, occupancy: 0.0, covariance, rank, start, cell })
+                let confidence = self.network.confidence(saliency, [f32::INFINITY; 3], self.voxel_size);
+                Ok(Candidate { position, saliency, occupancy: 0.0, confidence, covariance, rank, start, cell })
             };
             Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
         };
@@ -263,8 +259,10 @@ impl TileDetector {
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
             let places = localize(&Surroundings::of(&field).patches()?, &positions);
             let localized = |(candidate, place): (Candidate, Place)| {
+                let Place { position, covariance, deviations, .. } = place;
                 let rank = place.rank(candidate.saliency);
-                Candidate { position: place.position, covariance: place.covariance, rank, ..candidate }
+                let confidence = self.network.confidence(candidate.saliency, deviations, self.voxel_size);
+                Candidate { position, confidence, covariance, rank, ..candidate }
             };
             candidates = modes.into_iter().zip(places).map(localized).collect();
         }
