@@ -30,7 +30,9 @@ const RADIUS: [f32; 2] = [5.0, 2.2];
 const FEW_PATCHES: f32 = 80.0;
 /// ... up to this many times.
 const MAX_GROWTH: f32 = 1.6;
-/// Patches lie this share of the radius apart, and have points within the second share.
+/// Where a voxel of a scene has fewer points than this, as in a thinned sweep, they know nothing finer than the field.
+const MIN_DENSITY: f64 = 1.2;
+/// Patches lie this share of the radius apart, a voxel of a scene, and have points within the second share.
 const PATCHES: [f32; 2] = [0.2, 0.5];
 /// The weight that holds a keypoint, as a share of all weights.
 const HOLD: f64 = 0.02;
@@ -105,7 +107,8 @@ impl<'a> Surroundings<'a> {
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells lie in the frame of the network, so that a moved scene has the same.
         let cell = |point| normalization.to_network(point).map(|v| v * normalization.scale / (PATCHES[0] * radius));
-        Self { anchors: first_of_cells(&points, cell), points, radius }
+        let min_density = if is_scene { MIN_DENSITY } else { 0.0 };
+        Self { anchors: Anchors { min_density, ..first_of_cells(&points, cell) }, points, radius }
     }
 
     /// Their planar patches.
@@ -139,8 +142,14 @@ pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
 }
 
 fn place(patches: &Patches, keypoint: Point) -> Place {
-    let mut number = 0_u32;
-    patches.anchors.within(&keypoint, patches.radius, |_| number += 1);
+    let (mut number, mut points) = (0_u32, 0_u32);
+    patches.anchors.within(&keypoint, patches.radius, |anchor| {
+        number += 1;
+        points += patches.counts[anchor];
+    });
+    if f64::from(points) < patches.min_density * f64::from(number) {
+        return Place::unknown(keypoint);
+    }
     let radius = patches.radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
     let (mut at, mut last) = (keypoint, None);
     for tolerance in TOLERANCES {

@@ -57,7 +57,9 @@ impl Patch {
 pub(super) struct Anchors {
     pub(super) points: Vec<Point>,
     /// How many points of the cloud are in the cell of each.
-    counts: Vec<u32>,
+    pub(super) counts: Vec<u32>,
+    /// With fewer points a cell, on average, they determine no place.
+    pub(super) min_density: f64,
 }
 
 /// The first point of each cubic cell of a cloud, by coordinates in cells.
@@ -80,7 +82,8 @@ pub(crate) struct Patches<'a> {
     /// The radius within which they determine a place.
     pub(super) radius: f32,
     pub(super) anchors: RadiusCells<'a>,
-    counts: &'a [u32],
+    pub(super) counts: &'a [u32],
+    pub(super) min_density: f64,
     patches: Vec<OnceLock<Option<Patch>>>,
 }
 
@@ -92,6 +95,7 @@ impl<'a> Patches<'a> {
             points: RadiusCells::new(points, PATCHES[1] * radius)?,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
+            min_density: anchors.min_density,
             patches: anchors.points.iter().map(|_| OnceLock::new()).collect(),
         })
     }

@@ -85,6 +85,19 @@ fn a_thin_plate_keeps_its_sides_apart() {
 }
 
 #[test]
+fn points_as_sparse_as_cells_determine_nothing() {
+    let start = [0.06, 0.05, -0.04];
+    for (spacing, is_known) in [(0.052, false), (0.02, true)] {
+        let points = corner(3, spacing, 0.003);
+        let cells = first_of_cells(&points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
+        let anchors = Anchors { min_density: MIN_DENSITY, ..cells };
+        let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start]);
+        assert_eq!(places[0] != Place::unknown(start), is_known, "{spacing}");
+        assert_ne!(localized(&points, start), Place::unknown(start));
+    }
+}
+
+#[test]
 fn stray_points_do_not_pull() {
     let clean = corner(3, 0.02, 0.003);
     let stray = (0..clean.len() as u32 / 20).map(|i| [noise(i, 71), noise(i, 72), noise(i, 73)].map(|v| v + 0.3));
