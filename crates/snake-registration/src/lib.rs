@@ -14,17 +14,7 @@
 //! ```
 //!
 //! [`register()`] runs these [`steps`], of which each is a function that yours can replace;
-//! [`align()`] finds the poses of many clouds. With own matches and nothing else, [`kabsch`] fits a
-//! transform:
-//!
-//! ```
-//! use snake_registration::{kabsch, transform_points};
-//! let source = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
-//! let target = [[5.0, 0.0, 0.0], [5.0, 1.0, 0.0], [3.0, 0.0, 0.0]];
-//! let t_target_source = kabsch(&source, &target)?;
-//! assert!((transform_points(&t_target_source, &source)[2][0] - 3.0).abs() < 1e-6);
-//! # Ok::<(), snake_core::Error>(())
-//! ```
+//! [`align()`] finds the poses of many clouds, and [`kabsch`] fits a transform to own matches.
 //!
 //! Folders: `steps/` are the steps and their tables of constants; `cloud/` is what they compute
 //! with: voxels, normals, surfaces, planar patches; `many/` aligns many clouds.
@@ -45,7 +35,7 @@ pub mod steps;
 pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
-pub use register::{PreparedMap, register, register_pair, register_with};
+pub use register::{PreparedMap, register, register_with};
 pub use result::{CloudReport, Fit, Hypothesis, Matches, RECORDS, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use snake_detectors::Detector;

@@ -76,9 +76,9 @@ pub struct Verdict {
     /// The overlap is a share, 0 to 1, less twice the violated free space. Slides are by 2 to 12
     /// inlier distances along the direction that the overlap fixes least.
     pub slide_margin: f64,
-    /// Self-similarity of the target: the largest share of patches that also fit after a shift
-    /// along a repeating structure, such as a row of equal pillars or of windows. It is 0 if there is
-    /// none, and 1 if a part of the scene moved as a whole.
+    /// Self-similarity: the share of what the transform explains that another place or heading
+    /// explains too, along a repeating structure such as a row of equal pillars or of windows. It is 0
+    /// if there is none, and 1 if a part of the scene moved as a whole.
     pub repeat_fit: f64,
     /// Share of the voxels of both clouds, 0 to 1, that lie where the other cloud's sensor saw
     /// through to a farther surface; 0 if the sensors are not known.

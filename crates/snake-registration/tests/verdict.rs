@@ -1,6 +1,7 @@
 //! Answers that a verdict must not call reliable: what slides, turns, repeats itself or is not
 //! there, and missing returns. Clouds are views of made scenes, so that the right answer is known.
 
+use std::f64::consts::FRAC_PI_2;
 use std::time::Instant;
 
 use nalgebra::{IsometryMatrix3, Rotation3, Vector3};
@@ -95,7 +96,7 @@ fn run(source: &[Point], target: &[Point]) -> Option<Registration> {
 
 #[test]
 fn corridors_and_tunnels_are_open_along_their_axis() {
-    let tunnel = Scene { tunnel: Some(2.0), ..Default::default() };
+    let tunnel = || Scene { tunnel: Some(2.0), ..Default::default() };
     let wide = lidar(-0.7, 0.7);
     for (name, scene, rays, most, noise) in [
         ("corridor, camera", corridor(), camera(0.0), 12.0, 0.002),
@@ -103,20 +104,16 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
         ("corridor, noisy camera", corridor(), camera(0.1), 12.0, 0.01),
         ("corridor, LiDAR", corridor(), wide.clone(), 20.0, 0.02),
         ("corridor, narrow LiDAR", corridor(), lidar(-0.26, 0.26), 30.0, 0.02),
-        ("tunnel, camera", Scene { tunnel: Some(2.0), ..Default::default() }, camera(0.0), 12.0, 0.005),
-        ("tunnel, LiDAR", tunnel, wide, 20.0, 0.02),
+        ("tunnel, camera", tunnel(), camera(0.0), 12.0, 0.005),
+        ("tunnel, LiDAR", tunnel(), wide, 20.0, 0.02),
     ] {
         for &along in if is_full() { &[0.4, 1.0, 2.5][..] } else { &[1.0] } {
             let height = if scene.tunnel.is_some() { -0.4 } else { 1.4 };
             let (a, b) = ([0.0, 0.0, height], [along, 0.1, height]);
             let (source, target) = (scene.seen(a, &rays, most, noise, 1), scene.seen(b, &rays, most, noise, 2));
-            let Some(registration) = run(&source, &target) else { continue };
-            assert!(
-                registration.verdict.confidence == 0.0 && registration.verdict.is_ambiguous,
-                "{name}, {along}: {registration:?}"
-            );
-            let note = registration.verdict.notes.iter().any(|note| note.contains("translation along (1.00,"));
-            assert!(note, "{name}, {along}: {:?}", registration.verdict.notes);
+            let Some(Registration { verdict, .. }) = run(&source, &target) else { continue };
+            let is_named = verdict.notes.iter().any(|note| note.contains("translation along (1.00,"));
+            assert!(is_named && verdict.confidence == 0.0 && verdict.is_ambiguous, "{name}, {along}: {verdict:?}");
         }
     }
 }
@@ -136,11 +133,8 @@ fn a_row_of_pillars_is_not_left_by_one_period() {
             [("ahead", camera(0.0), 12.0), ("aside", camera(0.35), 12.0), ("LiDAR", lidar(-0.5, 0.5), 20.0)]
         {
             let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
-            let registration = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap();
-            assert!(
-                !registration.verdict.is_reliable && registration.verdict.is_ambiguous,
-                "{period} {half}, {name}: {registration:?}"
-            );
+            let verdict = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap().verdict;
+            assert!(!verdict.is_reliable && verdict.is_ambiguous, "{period} {half}, {name}: {verdict:?}");
         }
     }
 }
@@ -172,13 +166,8 @@ fn windows_that_repeat_are_named_and_the_other_places_returned() {
         assert!(verdict.notes[0].contains("repeats itself every"), "{verdict:?}");
         assert!(registration.hypotheses.len() > 1, "{registration:?}");
         // A guess decides.
-        let truth = RigidTransform::from_matrix([
-            [1.0, 0.0, 0.0, -along],
-            [0.0, 1.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-        ]);
-        let guided = PairOptions::default().with_initial(Some(truth.unwrap()));
+        let truth = IsometryMatrix3::translation(-along, 0.0, 0.0).into();
+        let guided = PairOptions::default().with_initial(Some(truth));
         let registration = register_with(&source, &target, None, &options, &guided, &control).unwrap();
         assert!(
             registration.verdict.notes.iter().all(|note| !note.contains("repeats itself every")),
@@ -187,41 +176,17 @@ fn windows_that_repeat_are_named_and_the_other_places_returned() {
     }
 }
 
-/// Clouds whose 16 nearest points are nowhere a planar patch: a curve wound around a torus with a
-/// dent, points in a bulky volume, wires, and a thin fence.
-fn clouds_without_patches() -> [(&'static str, Vec<Point>); 4] {
-    let torus = |i: i32| {
-        let (u, v) = (0.1 * i as f32, 0.7 * i as f32);
-        let ring = 1.0 + 0.3 * v.cos();
-        let (x, y) = (ring * u.cos(), ring * u.sin());
-        [x, y, 0.3 * v.sin() + (x - 0.4 * y).max(0.5)]
-    };
+/// Clouds whose 16 nearest points are nowhere a planar patch: points in a bulky volume, and wires.
+fn clouds_without_patches() -> [(&'static str, Vec<Point>); 2] {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let mut random = move |low: f32, high: f32| rng.random_range(low..high);
-    let volume = (0..6000).map(|_| [(); 3].map(|()| random(-1.0, 1.0)));
+    let volume = (0..6000).map(|_| [(); 3].map(|()| rng.random_range(-1.0..1.0_f32)));
     // The height varies over the ground.
     let volume = volume.map(|[x, y, z]| [x, 0.8 * y, 0.5 * z * (1.2 + (2.0 * x).sin() + y)]).collect();
     let wire = |i: i32| {
         let (k, t) = ((i % 9) as f32, (i / 9) as f32 / 400.0);
         [t * (1.0 + 0.1 * k) - 0.02 * k * k, 0.25 * k + 0.2 * (t * (3.0 + k)).sin(), 0.15 * (k * t).cos() * k]
     };
-    let bars = (0..5000).map(|i| {
-        let k = (i % 12) as f32;
-        let along = 1.3 * (i / 12) as f32 / 416.0;
-        let noise = [(); 3].map(|()| random(-0.01, 0.01));
-        let bar = if k < 7.0 {
-            [0.3 * k - 0.01 * k * k, along, 0.0]
-        } else {
-            [1.9 * along - 0.2, 0.2 * (k - 6.0).powf(1.1), 0.1]
-        };
-        [0, 1, 2].map(|axis| bar[axis] + noise[axis])
-    });
-    [
-        ("torus", (0..4000).map(torus).collect()),
-        ("volume", volume),
-        ("wires", (0..3600).map(wire).collect()),
-        ("fence", bars.collect()),
-    ]
+    [("volume", volume), ("wires", (0..3600).map(wire).collect())]
 }
 
 #[test]
@@ -229,12 +194,9 @@ fn exact_copies_of_clouds_without_planar_patches_are_reliable() {
     for (name, source) in clouds_without_patches() {
         let target: Vec<Point> = source.iter().map(|[x, y, z]| [3.0 - y, *x, *z]).collect();
         let registration = run(&source, &target).unwrap();
-        let t = registration.t_target_source.to_matrix();
-        let error = (0..3).map(|axis| (t[axis][3] - [3.0, 0.0, 0.0][axis]).abs()).fold(0.0, f64::max);
-        assert!(
-            registration.verdict.is_reliable && error < 1e-3 && (t[1][0] - 1.0).abs() < 1e-3,
-            "{name}: {registration:?}"
-        );
+        let truth = IsometryMatrix3::new(Vector3::x() * 3.0, Vector3::z() * FRAC_PI_2).into();
+        let (angle, distance) = registration.t_target_source.angle_and_distance_to(&truth);
+        assert!(registration.verdict.is_reliable && angle.max(distance) < 1e-3, "{name}: {registration:?}");
     }
 }
 
@@ -282,11 +244,8 @@ fn missing_returns_make_no_wrong_answer_reliable() {
         let t = registration.t_target_source.to_matrix();
         let error = (0..3).map(|axis| (t[axis][3] - truth[axis]).powi(2)).sum::<f64>().sqrt();
         assert!(registration.verdict.is_reliable && error < 0.05, "{distance}: {error} {registration:?}");
-        assert!(
-            registration.verdict.notes[0].contains("2000 of 10800 points")
-                && registration.clouds.iter().all(|cloud| cloud.num_skipped == 2000),
-            "{registration:?}"
-        );
+        let is_noted = registration.verdict.notes[0].contains("2000 of 10800 points");
+        assert!(is_noted && registration.clouds.iter().all(|cloud| cloud.num_skipped == 2000), "{registration:?}");
     }
 }
 
@@ -317,24 +276,17 @@ fn what_is_known_of_sweeps_only_helps() {
             let registration =
                 register_with(&source, &target, None, &options, &pair_options, &Control::default()).unwrap();
             let (angle, metres) = registration.t_target_source.angle_and_distance_to(&truth);
-            (angle.to_degrees(), metres, registration.verdict.is_reliable)
+            (angle.to_degrees() < 0.2 && metres < 0.1, registration.verdict.is_reliable)
         };
-        let (default, at_origin) = (RegisterOptions::default(), Some([0.0; 3]));
-        let nothing = known(default, PairOptions::default());
-        for (name, known) in [
-            ("gravity", known(default.with_gravity(Some(Axis::Z)), PairOptions::default())),
-            (
-                "viewpoints",
-                known(
-                    default,
-                    PairOptions::default().with_source_viewpoint(at_origin).with_target_viewpoint(at_origin),
-                ),
-            ),
-            ("initial", known(default, PairOptions::default().with_initial(Some(truth)))),
+        let (default, free, at_origin) = (RegisterOptions::default(), PairOptions::default(), Some([0.0; 3]));
+        let nothing = known(default, free);
+        for (name, options, pair_options) in [
+            ("gravity", default.with_gravity(Some(Axis::Z)), free),
+            ("viewpoints", default, free.with_source_viewpoint(at_origin).with_target_viewpoint(at_origin)),
+            ("initial", default, free.with_initial(Some(truth))),
         ] {
-            let is_right = |(angle, metres, _): (f64, f64, bool)| angle < 0.2 && metres < 0.1;
-            assert!(is_right(known) || !is_right(nothing), "{name}, {apart} m: {known:?}, without {nothing:?}");
-            assert!(known.2 || !nothing.2, "{name}, {apart} m: {known:?}, without {nothing:?}");
+            let known = known(options, pair_options);
+            assert!(known.0 >= nothing.0 && known.1 >= nothing.1, "{name}, {apart} m: {known:?}, without {nothing:?}");
         }
     }
 }

@@ -207,21 +207,6 @@ impl FineCloud {
             _ => (distance > self.surroundings(nearest).radius).then_some(false),
         }
     }
-
-    /// The point nearest to a place, if it is closer than `max_distance` and on a planar patch with
-    /// about this normal whose plane passes the place within `tolerance`.
-    pub(crate) fn patch_at(
-        &self,
-        place: &Vector,
-        normal: &Vector,
-        max_distance: f64,
-        tolerance: f64,
-    ) -> Option<Vector> {
-        let (nearest, distance) = *self.cloud.nearest(place, NonZeroUsize::MIN).first()?;
-        let point = self.cloud.points[nearest];
-        let is_on = distance < max_distance && normal.dot(&(point - place)).abs() < tolerance;
-        (is_on && self.patch(nearest)?.normal.dot(normal).abs() > AGREEING_COSINE).then_some(point)
-    }
 }
 
 /// Planar patches that both clouds have.

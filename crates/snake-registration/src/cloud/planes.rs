@@ -69,7 +69,7 @@ pub(crate) fn information<'a>(pairs: impl Iterator<Item = &'a PlanePair>) -> Mat
 }
 
 /// The gradient of a point's distance to a plane by a rotation about the origin and a translation.
-fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
+pub(crate) fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
     let lever = point.cross(normal);
     Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z)
 }

@@ -131,11 +131,6 @@ impl<'a> Surface<'a> {
         self.image.as_ref().map(|image| image.viewpoint)
     }
 
-    /// Whether the sensor would see a surface here; of a cloud without a known sensor, everywhere.
-    pub(crate) fn sees(&self, point: &Vector) -> bool {
-        self.image.as_ref().is_none_or(|image| matches!(image.sight(point), Sight::Free | Sight::Surface))
-    }
-
     /// Share of opposite normals among the source's points on the target with parallel normals; 0
     /// without any.
     pub(crate) fn opposed(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>) -> f64 {

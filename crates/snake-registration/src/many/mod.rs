@@ -1,11 +1,11 @@
 //! The poses of many clouds: registrations of pairs, checked by loops, in a robust pose graph.
 
-mod alone;
 mod candidates;
 mod graph;
 mod loops;
 mod pose_graph;
 mod priors;
+mod progress;
 mod refine;
 mod result;
 mod solved;
@@ -17,26 +17,19 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use snake_core::{Control, Error, Model, Result};
-use snake_geometry::{Point, RigidTransform};
+use snake_geometry::Point;
 
-use crate::options::{AlignOptions, AlignPriors, PairOptions, RegisterOptions};
-use crate::register::tries::{Effort, Search};
-use crate::result::Registration;
+use crate::options::{AlignOptions, AlignPriors, RegisterOptions};
+use crate::steps::PreparedCloud;
 use crate::steps::describe::describe_cloud;
-use crate::steps::judge::less_confident;
 use crate::steps::judge::units_note;
 use crate::steps::prepare::{Given, Pyramid};
-use crate::steps::{Pair, PreparedCloud};
-use alone::registered_alone;
-use priors::{Checked, Priors};
+use priors::Priors;
+use progress::{Progress, Trial};
 pub use result::{Alignment, Contradiction, Edge, Pose};
-use solved::{Solved, believed, solve};
 
 /// Number of clouds, at most: the poses are solved for in one dense matrix. Set by hand.
 const MAX_CLOUDS: usize = 500;
-/// Number of pairs without a reliable transform that get a second look, for each part that they would join to others.
-/// Set for time.
-const SECOND_LOOKS: usize = 3;
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
@@ -84,7 +77,10 @@ pub fn align_with(
     let start = Instant::now();
     options.check_ranges()?;
     align_options.check_ranges()?;
-    check_count(clouds.len())?;
+    if !(2..=MAX_CLOUDS).contains(&clouds.len()) {
+        let reason = format!("{} of them; needed are 2 to {MAX_CLOUDS}", clouds.len());
+        return Err(Error::Input { what: "clouds", reason });
+    }
     known.check(clouds.len())?;
     let inner = control.without_progress();
     control.begin("clouds", 0).check()?;
@@ -97,51 +93,20 @@ pub fn align_with(
     let count = align_options.max_partners;
     let pairs = priors.choose(candidates::pairs(clouds, count, &inner)?, count);
     let free: Vec<Trial> = pairs.into_iter().map(|pair| (pair, None)).collect();
-    let mut checked = Checked::default();
-    let mut left_out = Vec::new();
-    // What poses were given for is judged with them.
-    let mut judged = |registered: Vec<Registered>| {
-        let mut pairs = believed(&pyramid, &registered);
-        pairs.retain(|pair| !priors.has(*pair));
-        registered_alone(&given, registered, &pairs, &mut left_out, control)
-    };
-    let registered = priors.filter(register_pairs(&pyramid, &priors, &free, options, control)?, &mut checked);
-    let mut solved = solve(&pyramid, judged(registered)?, options, control)?;
-    let closer = priors.filter(look_again(&pyramid, &solved, options, control)?, &mut checked);
-    let closer = judged(closer)?;
-    solved = solved.with(closer, &pyramid, options, control)?;
-    // The poses say which other clouds overlap, and where.
-    let guided = solved.guesses(&pyramid);
-    let more = register_pairs(&pyramid, &priors, &guided, options, control)?;
-    solved = solved.with(priors.filter(more, &mut checked), &pyramid, options, control)?;
-    let (edges, poses) = (solved.edges(), solved.poses());
-    let poses_note = priors.note(&checked);
-    let mut contradictions: Vec<Contradiction> = checked.contradictions.into_values().collect();
-    contradictions.retain(|at| edges.iter().all(|edge| (edge.source, edge.target) != (at.source, at.target)));
-    contradictions.sort_by_key(|contradiction| (contradiction.source, contradiction.target));
-    left_out.retain(|(pair, _)| edges.iter().all(|edge| [edge.source, edge.target] != *pair));
-    left_out.sort();
-    let left_out = left_out.into_iter().map(|(_, note)| note);
-    let notes =
-        poses_note.into_iter().chain(missing_notes(clouds)).chain(units_notes(clouds)).chain(left_out).collect();
+    let mut progress = Progress::new(&given, &pyramid, &priors, control);
+    let solved = progress.first_look(&free)?;
+    let solved = progress.second_look(solved)?;
+    let (solved, num_guided) = progress.by_poses(solved)?;
     Ok(Alignment {
-        poses,
+        poses: solved.poses(),
+        edges: solved.edges(),
+        notes: progress.notes(&solved),
+        contradictions: progress.contradictions(&solved),
         parts: solved.parts.into_iter().map(|part| part.clouds).collect(),
-        edges,
-        contradictions,
-        notes,
-        num_pairs: free.len() + guided.len(),
+        num_pairs: free.len() + num_guided,
         num_skipped: clouds.iter().map(|cloud| cloud.num_skipped).collect(),
         seconds: start.elapsed().as_secs_f64(),
     })
-}
-
-/// Refuses too few or too many clouds.
-fn check_count(count: usize) -> Result<()> {
-    if !(2..=MAX_CLOUDS).contains(&count) {
-        return Err(Error::Input { what: "clouds", reason: format!("{count} of them; needed are 2 to {MAX_CLOUDS}") });
-    }
-    Ok(())
 }
 
 /// Notes on missing returns, which were left out of the clouds.
@@ -173,74 +138,4 @@ fn describe_all(clouds: &[PreparedCloud], control: &Control) -> Result<()> {
         counter.add(1);
         Ok(())
     })
-}
-
-/// Source and target with the transform to start from, if there is one.
-type Trial = ([usize; 2], Option<RigidTransform>);
-/// Source and target with their registration.
-type Registered = ([usize; 2], Registration);
-
-/// The registrations of all pairs for which there is a transform.
-fn register_pairs(
-    pyramid: &Pyramid,
-    priors: &Priors,
-    pairs: &[Trial],
-    options: &RegisterOptions,
-    control: &Control,
-) -> Result<Vec<Registered>> {
-    register_each("pairs", pairs, control, |([source, target], guess), control| {
-        let scale = pyramid.common(&[*source, *target]);
-        let [from, to] = [source, target].map(|&cloud| pyramid.cloud(cloud, scale));
-        let pair = Pair::new(from, to, options.gravity);
-        let registration = match guess {
-            Some(_) => {
-                let guessed = PairOptions::default().with_initial(*guess);
-                Search::new(&pair, options, &guessed, Effort::Usual, control).register()
-            }
-            None => priors.register([*source, *target], &pair, options, control),
-        };
-        registration.map(|registration| Some(([*source, *target], registration)))
-    })
-}
-
-/// Registers the most confident of the pairs that are not reliable and would join parts again: a few
-/// for each part, of clouds that have finer voxels, with the cost of that try.
-fn look_again(
-    pyramid: &Pyramid,
-    solved: &Solved,
-    options: &RegisterOptions,
-    control: &Control,
-) -> Result<Vec<Registered>> {
-    let joining = solved.joining(SECOND_LOOKS);
-    register_each("finer voxels", &joining, control, |(clouds, first), control| {
-        let scale = pyramid.common(clouds);
-        let [Some(source), Some(target)] = clouds.map(|cloud| pyramid.finer(cloud, scale)) else { return Ok(None) };
-        let (pair, free) = (Pair::new(source, target, options.gravity), PairOptions::default());
-        let search = Search::new(&pair, options, &free, Effort::Usual, control);
-        let finer = Search { guesses: &[first.t_target_source], ..search }.register()?;
-        Ok(Some((*clouds, less_confident(finer))))
-    })
-}
-
-/// The registrations of what is tried, without those for which there is no transform.
-fn register_each<T: Sync>(
-    stage: &'static str,
-    trials: &[T],
-    control: &Control,
-    register: impl Fn(&T, &Control) -> Result<Option<Registered>> + Sync,
-) -> Result<Vec<Registered>> {
-    let counter = control.begin(stage, trials.len());
-    let inner = control.without_progress();
-    let one = |trial: &T| {
-        counter.check()?;
-        let registration = register(trial, &inner);
-        counter.add(1);
-        match registration {
-            // No three matches agree: these clouds do not fit.
-            Err(Error::NoTransform { .. }) => Ok(None),
-            other => other,
-        }
-    };
-    let registered: Vec<Option<Registered>> = trials.par_iter().map(one).collect::<Result<_>>()?;
-    Ok(registered.into_iter().flatten().collect())
 }

@@ -11,8 +11,9 @@ use snake_geometry::Vector;
 use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
 use super::pose_graph::Link;
+use super::progress::{Registered, Trial};
 use super::refine::refine;
-use super::{Edge, Pose, Registered, Trial};
+use super::{Edge, Pose};
 use crate::cloud::surface::Surface;
 use crate::options::RegisterOptions;
 use crate::result::{Registration, Verdict};
@@ -144,6 +145,11 @@ impl Solved {
             is_kept
         });
         open
+    }
+
+    /// Whether the poses follow a registration of this pair.
+    pub(super) fn follows(&self, pair: [usize; 2]) -> bool {
+        self.parts.iter().flat_map(|part| &part.links).any(|(at, _)| self.registered[self.kept[*at]].0 == pair)
     }
 
     /// The registrations that the poses follow, ordered by their clouds.

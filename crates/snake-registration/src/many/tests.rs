@@ -8,7 +8,7 @@ use crate::Detector;
 use crate::rigid::tests::{random_points, random_transform, sample};
 use crate::rigid::transform_points;
 use snake_core::CancelFlag;
-use snake_geometry::Vector;
+use snake_geometry::{RigidTransform, Vector};
 
 /// Three samplings of the sample, each moved; a closed surface that fits none of them is cloud 1.
 fn clouds() -> (Vec<Vec<Point>>, Vec<RigidTransform>) {

@@ -13,7 +13,6 @@ use snake_geometry::Point;
 
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
-use crate::steps::Pair;
 use crate::steps::prepare::Given;
 pub use prepared_map::PreparedMap;
 use scale::register_at_scales;
@@ -73,23 +72,5 @@ pub fn register_with(
         let again = Some((&given, &level));
         Search { given: again, ..Search::new(&pair, options, pair_options, Effort::Thorough, control) }.register()?
     };
-    Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
-}
-
-/// Registers two prepared clouds. The viewpoints of the options are not used: they are part of the
-/// preparation. A map for many scans is a [`PreparedMap`].
-///
-/// # Errors
-/// The errors of [`register_with`].
-pub fn register_pair(
-    pair: &Pair,
-    options: &RegisterOptions,
-    pair_options: &PairOptions,
-    control: &Control,
-) -> Result<Registration> {
-    let start = Instant::now();
-    options.check_ranges()?;
-    pair_options.check()?;
-    let registration = Search::new(pair, options, pair_options, Effort::Thorough, control).register()?;
     Ok(Registration { seconds: start.elapsed().as_secs_f64(), ..registration })
 }

@@ -164,37 +164,43 @@ fn weighted(grid: &NearGrid, simplified: &[Histograms], point: &Vector, own: &Hi
 
 #[cfg(test)]
 mod tests {
-    use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
-
     use super::*;
     use crate::cloud::normals::estimate_normals;
-    use crate::rigid::tests::random_points;
-    use crate::steps::describe::plain_fpfh::plain_fpfh;
-    use snake_geometry::vector;
+
+    /// Points, normals and FPFH of tests/data/fpfh/open3d.csv.
+    fn open3d_case() -> (Vec<Point>, Vec<Point>, Vec<f32>) {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/data/fpfh/open3d.csv");
+        let table = std::fs::read_to_string(path).unwrap();
+        let (mut points, mut normals, mut features) = (vec![], vec![], vec![]);
+        for line in table.lines() {
+            let row: Vec<f32> = line.split(',').map(|v| v.parse().unwrap()).collect();
+            points.push([row[0], row[1], row[2]]);
+            normals.push([row[3], row[4], row[5]]);
+            features.extend(&row[6..]);
+        }
+        (points, normals, features)
+    }
 
     #[test]
-    fn descriptors_are_those_of_the_plain_function() {
-        let mut points = random_points(&mut ChaCha8Rng::seed_from_u64(5), 600);
-        points.iter_mut().for_each(|p| p[2] = 0.3 * (3.0 * p[0]).sin() * p[1]);
-        points.push([9.0; 3]);
-        let normals = estimate_normals(&points, 0.3).unwrap();
-        let plain = plain_fpfh(&points, &normals, 0.5);
-        let vectors = |rows: &[[f32; 3]]| rows.iter().map(|&p| vector(p)).collect::<Vec<_>>();
-        let described = |normals: &[[f32; 3]], signed| {
-            descriptors(&vectors(&points), &vectors(normals), signed, 0.5, &Control::default()).unwrap()
-        };
-        let fast = described(&normals, true);
-        assert_eq!(fast, fpfh(&points, &normals, 0.5).unwrap());
-        assert_eq!(fast.len(), plain.len());
-        // A pair near the edge of a bin may change bins by rounding; a bin holds up to 200.
-        let close = fast.iter().zip(&plain).filter(|(a, b)| (**a - **b).abs() < 1.0).count();
-        assert!(close as f64 > 0.999 * plain.len() as f64, "{close} of {}", plain.len());
+    fn normals_and_descriptors_are_those_of_open3d() {
+        let (points, normals, features) = open3d_case();
+        assert_eq!((points.len(), features.len()), (150, 150 * FPFH_DIMENSION));
+        let ours = estimate_normals(&points, 0.5).unwrap();
+        assert!(ours.as_flattened().iter().zip(normals.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-5));
+        let ours = fpfh(&points, &normals, 0.8).unwrap();
+        // A pair near the edge of a bin may change bins by rounding: in `f32` 9 of these numbers differ.
+        let close = ours.iter().zip(&features).filter(|(a, b)| (**a - **b).abs() < 1.0).count();
+        assert!(close as f64 > 0.995 * features.len() as f64, "{close} of {}", features.len());
+        assert_eq!(ours[149 * FPFH_DIMENSION..], [0.0; FPFH_DIMENSION]);
         // Signs of normals do not matter where they have none.
-        let flipped: Vec<_> =
+        let vectors = |rows: &[Point]| rows.iter().map(|&row| vector(row)).collect::<Vec<_>>();
+        let described = |normals: &[Point], signed| {
+            descriptors(&vectors(&points), &vectors(normals), signed, 0.8, &Control::default()).unwrap()
+        };
+        let flipped: Vec<Point> =
             normals.iter().enumerate().map(|(i, n)| if i % 3 == 0 { n.map(|v| -v) } else { *n }).collect();
         assert!(described(&flipped, false).iter().zip(described(&normals, false)).all(|(a, b)| (a - b).abs() < 1e-3));
-        assert!(described(&flipped, true) != fast);
+        assert!(described(&flipped, true) != ours);
     }
 
     #[test]

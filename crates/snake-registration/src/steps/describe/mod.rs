@@ -1,8 +1,6 @@
 //! Step 2: a descriptor for each keypoint.
 
 pub(crate) mod fpfh;
-#[cfg(test)]
-mod plain_fpfh;
 
 use std::borrow::Cow;
 

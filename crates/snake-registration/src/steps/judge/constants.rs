@@ -22,12 +22,9 @@ pub(super) const DETAIL: f64 = 0.25;
 pub(super) const MAX_SLIDE_TURN: f64 = 12.0;
 /// Two normals are parallel if their cosine is above this. Set by hand.
 pub(super) const REPEAT_PARALLEL: f64 = 0.98;
-/// The target repeats itself if more than this share of the patches agrees after a shift. Unit: share of the patches in
-/// view. Of 162 made rows of pillars 3 are left by one period.
+/// Another try changes no verdict if a rival explains more than this of what the answer explains. Unit: share of the
+/// places. Set by hand.
 pub(crate) const REPEATED: f64 = 0.45;
-/// The source may belong to the other place if its fitness is above this: with less overlap, a place with more would
-/// fit better. Unit: share of the voxels. Set by hand.
-pub(super) const REPEATED_FITNESS: f64 = 0.8;
 /// A rival moves the source by more than this. Unit: inlier distances. Details of real rooms repeat after 1.4 and 2.1.
 pub(super) const MIN_SHIFT: f64 = 2.25;
 /// Fewer matches that agree are never enough, however well the surfaces fit. Half and twice change no outcome.

@@ -78,7 +78,6 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::cloud::planes::information;
     use crate::rigid::tests::random_points;
     use snake_geometry::vector;
 
@@ -104,15 +103,5 @@ mod tests {
             assert_eq!((constraint(2).open.ncols(), constraint(1).open.ncols()), (1, 3), "{noise}");
         }
         assert_eq!(Constraint::from_patches(&[]).open.ncols(), 6);
-    }
-
-    #[test]
-    fn information_is_the_sum_over_the_pairs() {
-        let sum = information(faces(3, 0.0).iter());
-        assert!((3..6).all(|i| (sum[(i, i)] - 1000.0).abs() < 1.0), "{sum}");
-        // A rotation about x moves a point of face y = 1 by its z, and one of face z = 1 by its y.
-        let squared = |pair: &PlanePair| pair.point.cross(&pair.normal).x.powi(2);
-        let expected: f64 = faces(3, 0.0).iter().map(squared).sum();
-        assert!((sum[(0, 0)] / expected - 1.0).abs() < 1e-9);
     }
 }

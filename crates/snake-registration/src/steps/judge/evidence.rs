@@ -1,6 +1,6 @@
 //! Evidence about a transform, and the confidence that follows from it.
 
-use super::constants::{MAX_DOUBTFUL, MIN_AGREEING, RELIABLE, REPEATED, REPEATED_FITNESS};
+use super::constants::{MAX_DOUBTFUL, MIN_AGREEING, RELIABLE};
 use crate::cloud::surface::Agreement;
 use crate::result::{Fit, Matches};
 
@@ -54,8 +54,6 @@ pub(super) struct Evidence<'a> {
     pub(super) open_motions: String,
     /// See [`Verdict::weakest_constraint`](crate::Verdict::weakest_constraint).
     pub(super) weakest_constraint: f64,
-    /// See [`Verdict::repeat_fit`](crate::Verdict::repeat_fit).
-    pub(super) repeat_fit: f64,
     /// Share of the patches of both clouds that coincide, where the points are fine enough to show
     /// it.
     pub(super) coinciding: Option<f64>,
@@ -93,11 +91,7 @@ pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) ->
 impl Evidence<'_> {
     /// Whether other transforms fit as well or about as well.
     pub(super) fn is_ambiguous(&self) -> bool {
-        self.num_open > 0 || self.has_rival || self.is_repeated()
-    }
-
-    fn is_repeated(&self) -> bool {
-        self.repeat_fit > REPEATED && self.fit.fitness > REPEATED_FITNESS
+        self.num_open > 0 || self.has_rival
     }
 
     fn has_few_matches(&self) -> bool {
@@ -156,7 +150,7 @@ impl Evidence<'_> {
         }
         let sum = self.terms().fold(BIAS, |sum, term| sum + term.value);
         let unrivalled = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
-        if self.has_rival || self.is_repeated() {
+        if self.has_rival {
             (unrivalled / 2.0).min(MAX_DOUBTFUL)
         } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() {
             unrivalled.min(MAX_DOUBTFUL)
@@ -177,11 +171,6 @@ impl Evidence<'_> {
         }
         if self.has_rival {
             notes.push("ambiguous: another transform fits about as well".into());
-        }
-        if self.is_repeated() {
-            notes.push(
-                "ambiguous: the target repeats itself, as a row of equal pillars does, and fits there as well".into(),
-            );
         }
         if self.has_few_matches() {
             notes.push(format!(
@@ -229,7 +218,6 @@ mod tests {
             num_open: 0,
             open_motions: String::new(),
             weakest_constraint: 0.03,
-            repeat_fit: 0.0,
             coinciding: None,
             apart: 0.0,
             has_rival: false,
@@ -245,12 +233,11 @@ mod tests {
         let (usual, _) = changed(|_, _, _| ());
         assert!(usual > 0.9, "{usual}");
         type Change = fn(&mut Fit, &mut Matches, &mut Evidence);
-        let worse: [(&str, Change); 10] = [
+        let worse: [(&str, Change); 9] = [
             ("few matches", |_, m, e| {
                 (m.num_agreeing, m.spread, e.slide_margin) = (9, 0.9, 9.0);
             }),
             ("weak constraint", |_, m, e| (m.num_agreeing, e.weakest_constraint) = (9999, 8e-5)),
-            ("repeated", |_, m, e| (m.num_agreeing, e.repeat_fit) = (9999, 0.95)),
             ("apart", |_, m, e| (m.num_agreeing, e.coinciding) = (9999, Some(0.7))),
             ("a part apart", |_, m, e| (m.num_agreeing, e.apart) = (9999, 0.4)),
             ("rival matches", |_, m, e| (m.num_agreeing, m.num_rival_agreeing, e.slide_margin) = (20, 40, 0.0)),
@@ -282,7 +269,6 @@ mod tests {
         let note = |change: fn(&mut Fit, &mut Matches, &mut Evidence)| changed(change).1.remove(0);
         assert!(note(|_, _, e| e.num_open = 3).contains("3 of 6"));
         assert!(note(|_, _, e| e.has_rival = true).contains("another transform"));
-        assert!(note(|_, _, e| e.repeat_fit = 0.95).contains("repeats itself"));
         assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
         assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
         assert!(note(|_, _, e| e.coinciding = Some(0.7)).contains("lie apart"));

@@ -1,11 +1,13 @@
 //! Step 6: whether the best transform can be relied on.
 
 mod alike;
+mod comparison;
 mod constants;
 mod constraint;
 mod evidence;
 mod open_motions;
 mod repeats;
+mod rival;
 mod rivals;
 mod scale;
 mod shifts;
@@ -14,8 +16,8 @@ mod standing;
 mod together;
 mod turns;
 
+use constants::TRIES;
 pub(crate) use constants::{MAX_DOUBTFUL, RELIABLE, REPEATED};
-use constants::{REPEATED_FITNESS, TRIES};
 use nalgebra::{IsometryMatrix3, Matrix6};
 
 use crate::cloud::patches::{self, overlap};
@@ -27,8 +29,8 @@ use crate::steps::pair::Pair;
 use crate::steps::refine::{Candidate, refine};
 use constraint::Constraint;
 use evidence::{Evidence, is_rival};
-use repeats::repeated_share;
-use rivals::{Rival, rivals};
+use rival::Rival;
+use rivals::rivals;
 pub(crate) use scale::best_scale;
 use scale::better_scale;
 use slide::slide_margin;
@@ -83,12 +85,13 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
     })
 }
 
-/// Compares a transform with others: the turns that lay the planes of the overlap on planes, the motions under which a cloud looks
-/// like itself, and the shifts after which details of the target repeat. One that explains significantly more, refined, is the
-/// answer instead, ambiguous and no more confident. If one explains the clouds about as well, a registration that is reliable or ambiguous becomes
-/// ambiguous and not reliable, its notes say what repeats, and the others follow the best in `hypotheses`. So it becomes if
-/// scans that it puts at one place contradict it in a part of the scene that moved as a whole. It is not reliable either if a
-/// mirror image fits better, or if scans that it puts at one place differ.
+/// Compares a transform with the rivals that searches propose: turns that lay planes on planes, slides, shifts, reflections,
+/// and motions under which a cloud looks like itself.
+///
+/// A rival that explains significantly more, refined, is the answer instead, ambiguous and no more confident. One that
+/// explains about as much makes a registration ambiguous and not reliable: its notes say what repeats, and the rivals follow
+/// the best in `hypotheses`. So does a part of the scene that moved as a whole, if the sensors would stand at one place. The
+/// registration is not reliable either if a mirror image fits better, or if scans that it puts at one place differ.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -106,7 +109,7 @@ pub fn challenge(
     let transform = registration.t_target_source.isometry();
     let standing = contradicted_at_one_place(pair, transform)?;
     let mut equal = rivals(pair, transform, standing.is_some())?;
-    if let Some(better) = equal.iter().filter(|rival| rival.is_better()).max_by_key(|rival| rival.gain()) {
+    if let Some(better) = equal.iter().filter(|rival| rival.is_better()).max_by_key(|rival| rival.counts.gain()) {
         let mut candidates = refine(pair, matches, &[better.transform.into()], icp_steps, 1, control)?;
         candidates.push(Candidate::measure(pair, matches, &(*transform).into()));
         let (note, confidence) = (better.note(transform), registration.verdict.confidence);
@@ -133,7 +136,7 @@ pub fn challenge(
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
     verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
     // Finer voxels would not tell which part moved.
-    let at_rest = if together.is_some() { 1.0 } else { verdict.repeat_fit };
+    let at_rest = if together.is_some() { 1.0 } else { 0.0 };
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     // Shifts come last, and are named first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
@@ -153,7 +156,6 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
-    let is_repeatable = fit.fitness > REPEATED_FITNESS;
     let lead = best.lead(candidates.get(1));
     let has_rival = match lead {
         Some(lead) => lead < MIN_LEAD * best.score(),
@@ -173,7 +175,6 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
-        repeat_fit: if is_repeatable { repeated_share(&overlap.patches, fine[1], &surfaces[1]) } else { 0.0 },
         apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
@@ -191,7 +192,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
             .collect(),
         weakest_constraint: evidence.weakest_constraint,
         slide_margin: evidence.slide_margin,
-        repeat_fit: evidence.repeat_fit,
+        repeat_fit: 0.0,
         free_space_violation: evidence.violation,
     })
 }
@@ -310,15 +311,4 @@ pub(crate) fn less_confident(mut registration: Registration) -> Registration {
     verdict.confidence /= 2.0 - verdict.confidence;
     verdict.is_reliable = verdict.confidence >= RELIABLE;
     registration
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn clouds_of_very_different_size_are_asked_about_their_units() {
-        assert!(units_note([4000.0, 4.0]).unwrap().contains("1000 times"));
-        assert_eq!(units_note([4.0, 3.0]), None);
-    }
 }

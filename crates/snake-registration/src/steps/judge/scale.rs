@@ -3,7 +3,7 @@
 use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
 
-use crate::cloud::planes::PlanePair;
+use crate::cloud::planes::{PlanePair, twist};
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;
 use snake_geometry::Vector;
@@ -134,8 +134,7 @@ fn step(pairs: &[PlanePair]) -> Option<Step> {
     let (mut scales, mut along, mut squared) = (0.0, 0.0, 0.0);
     for PlanePair { point, normal, distance } in pairs {
         let offset = (point - center) / extent;
-        let lever = offset.cross(normal);
-        let row = Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z);
+        let row = twist(&offset, normal);
         let scale = normal.dot(&offset);
         information += row * row.transpose();
         coupling += row * scale;

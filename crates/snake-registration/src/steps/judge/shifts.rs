@@ -96,6 +96,14 @@ pub(super) struct Shift {
     pub(super) is_better: bool,
 }
 
+/// A place of the source on the target, in the axes of a frame.
+#[derive(Clone, Copy)]
+struct Detail {
+    point: Vector,
+    /// The axis along which its surface faces, if that is one of a plane across it.
+    facing: Option<usize>,
+}
+
 /// The shifts along the axes of `frame` after which the details of `places`, of the source on the
 /// target, are those of the target again. If both sensors would stand at one place, the places with
 /// a normal are also compared alone.
@@ -110,92 +118,116 @@ pub(super) fn shifts(
     let points: Vec<Vector> = target.points().iter().map(into).collect();
     let reliefs: Option<Vec<Relief>> = (0..3).map(|across| Relief::new(&points, across, distance)).collect();
     let Some(reliefs) = reliefs else { return Vec::new() };
-    let places: Vec<(Vector, Option<usize>)> = places
-        .iter()
-        .map(|Place { point, normal }| {
-            let facing = normal.map(|normal| into(&normal)).filter(|n| n.amax() > SHIFT_COSINE);
-            (into(point), facing.map(|normal| normal.iamax()))
-        })
-        .collect();
+    let detail = |Place { point, normal }: &Place| {
+        let facing = normal.map(|normal| into(&normal)).filter(|n| n.amax() > SHIFT_COSINE);
+        Detail { point: into(point), facing: facing.map(|normal| normal.iamax()) }
+    };
+    let all: Vec<Detail> = places.iter().map(detail).collect();
     // What has no normal, such as thin posts, coincides at one place by the pattern of rays alone.
-    let facing: Vec<_> = places.iter().filter(|(_, facing)| is_standing && facing.is_some()).copied().collect();
-    [&places, &facing]
-        .into_iter()
-        .flat_map(|places| (0..3).map(move |axis| (places, axis)))
-        .flat_map(|(places, axis)| {
-            along(places, &reliefs, axis, distance).into_iter().map(move |peak| (frame[axis], peak))
-        })
-        .map(|(axis, (length, is_better))| Shift { by: length * axis, is_better })
-        .collect()
+    let facing = all.iter().filter(|detail| is_standing && detail.facing.is_some()).copied().collect();
+    let (step, min) = (DETAIL * distance, (MIN_SHIFT / DETAIL).ceil() as i64);
+    let mut shifts = Vec::new();
+    for details in [all, facing] {
+        for (axis, direction) in frame.iter().enumerate() {
+            let Some(profile) = Profile::new(&details, &reliefs, axis, step, min) else { continue };
+            shifts.extend(profile.peaks(min).into_iter().map(|at| Shift {
+                by: at as f64 * step * direction,
+                is_better: profile.share(at) > profile.at_rest(),
+            }));
+        }
+    }
+    shifts
 }
 
-/// The lengths of such shifts along one axis, each with whether the details fit better there than
-/// at rest.
-fn along(places: &[(Vector, Option<usize>)], reliefs: &[Relief], axis: usize, distance: f64) -> Vec<(f64, bool)> {
-    let step = DETAIL * distance;
-    let (low, high) = places.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (place, _)| {
-        (low.min(place[axis]), high.max(place[axis]))
-    });
-    let reach = (MAX_SHIFT * (high - low) / step) as i64;
-    let min = (MIN_SHIFT * distance / step).ceil() as i64;
-    if reach <= min {
-        return Vec::new();
-    }
-    let count = (2 * reach + 1) as usize;
-    let (mut fits, mut seen) = (vec![0.0; count], vec![0.0; count]);
-    let mut states = vec![None; count];
-    for (place, facing) in places {
-        let relief = &reliefs[facing.unwrap_or((axis + 1) % 3)];
-        let mut moved = *place;
-        for (index, state) in states.iter_mut().enumerate() {
-            moved[axis] = place[axis] + step * (index as i64 - reach) as f64;
-            *state = relief.has(&moved);
+/// How many details fit after each shift along an axis, from `-reach` to `reach` steps, each by how much it tells.
+struct Profile {
+    reach: i64,
+    /// Those in view that fit.
+    fits: Vec<f64>,
+    /// Those in view.
+    seen: Vec<f64>,
+}
+
+impl Profile {
+    /// `None` if the details are too close together for a shift by `min` steps.
+    fn new(details: &[Detail], reliefs: &[Relief], axis: usize, step: f64, min: i64) -> Option<Self> {
+        let (low, high) = details.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), detail| {
+            (low.min(detail.point[axis]), high.max(detail.point[axis]))
+        });
+        let reach = (MAX_SHIFT * (high - low) / step) as i64;
+        if reach <= min {
+            return None;
         }
-        // A place that is on the target wherever it is shifted tells nothing.
-        let on = states.iter().filter(|state| **state == Some(true)).count();
-        let in_view = states.iter().filter(|state| state.is_some()).count();
-        let weight = (1.0 - on as f64 / in_view.max(1) as f64).powi(2);
-        for (index, state) in states.iter().enumerate() {
-            if let Some(fit) = state {
-                seen[index] += weight;
-                fits[index] += if *fit { weight } else { 0.0 };
+        let shifts = -reach..=reach;
+        let mut profile =
+            Self { reach, fits: vec![0.0; shifts.clone().count()], seen: vec![0.0; shifts.clone().count()] };
+        for Detail { point, facing } in details {
+            let relief = &reliefs[facing.unwrap_or((axis + 1) % 3)];
+            let after = |shift: i64| {
+                let mut moved = *point;
+                moved[axis] = point[axis] + step * shift as f64;
+                relief.has(&moved)
+            };
+            let states: Vec<Option<bool>> = shifts.clone().map(after).collect();
+            // A detail that is on the target wherever it is shifted tells nothing.
+            let on = states.iter().filter(|state| **state == Some(true)).count();
+            let in_view = states.iter().flatten().count();
+            let weight = (1.0 - on as f64 / in_view.max(1) as f64).powi(2);
+            for (index, fit) in states.into_iter().enumerate().filter_map(|(index, fit)| Some((index, fit?))) {
+                profile.seen[index] += weight;
+                profile.fits[index] += if fit { weight } else { 0.0 };
             }
         }
+        Some(profile)
     }
-    peaks(&fits, &seen, reach, min).into_iter().map(|(shift, is_better)| (shift as f64 * step, is_better)).collect()
-}
 
-/// The shifts at which the details fit about as well as beside rest, and worse on the way; each with
-/// whether they fit better than at rest.
-fn peaks(fits: &[f64], seen: &[f64], reach: i64, min: i64) -> Vec<(i64, bool)> {
-    let share = |shift: i64| {
-        let at = (shift + reach) as usize;
-        if seen[at] > 0.0 { fits[at] / seen[at] } else { 0.0 }
-    };
-    let fit = |shift: i64| fits[(shift + reach) as usize];
-    // Beside rest: clouds of one pattern of rays a period apart coincide at rest point by point.
-    let at_rest = share(-1).max(share(1));
-    let mut shares: Vec<f64> = (-reach..=reach).map(share).collect();
-    shares.sort_by(f64::total_cmp);
-    let elsewhere = shares[shares.len() / 2];
-    let min_share = |shift: i64| {
-        let is_short = shift.abs() as f64 * DETAIL <= ELSEWHERE;
-        let least = elsewhere + SHIFT_FIT * (at_rest - elsewhere);
-        if is_short { least.max(MIN_SHORT_FIT) } else { least }
-    };
-    let is_peak = |shift: &i64| {
-        let near = (shift - 2).max(-reach)..=(shift + 2).min(reach);
-        let way = if *shift > 0 { 1..*shift } else { shift + 1..0 };
-        shift.abs() >= min
-            && fit(*shift) >= MIN_SHIFT_VIEW * fit(0)
-            && share(*shift) >= min_share(*shift)
-            && near.into_iter().all(|other| fit(other) <= fit(*shift))
-            && way.map(share).fold(1.0, f64::min) < SHIFT_VALLEY * share(*shift)
-    };
-    let mut peaks: Vec<i64> = (-reach..=reach).filter(is_peak).collect();
-    // Those at which most details are in view and fit.
-    peaks.sort_by(|a, b| fit(*b).total_cmp(&fit(*a)).then(a.cmp(b)));
-    peaks.truncate(TRIES);
-    let at_rest = share(0).max(at_rest);
-    peaks.into_iter().map(|shift| (shift, share(shift) > at_rest)).collect()
+    fn fit(&self, shift: i64) -> f64 {
+        self.fits[(shift + self.reach) as usize]
+    }
+
+    /// The share of the details in view that fit.
+    fn share(&self, shift: i64) -> f64 {
+        let seen = self.seen[(shift + self.reach) as usize];
+        if seen > 0.0 { self.fit(shift) / seen } else { 0.0 }
+    }
+
+    /// The share one step from rest: clouds of one pattern of rays coincide at rest point by point.
+    fn beside_rest(&self) -> f64 {
+        self.share(-1).max(self.share(1))
+    }
+
+    fn at_rest(&self) -> f64 {
+        self.share(0).max(self.beside_rest())
+    }
+
+    /// The share after most shifts.
+    fn usual(&self) -> f64 {
+        let mut shares: Vec<f64> = (-self.reach..=self.reach).map(|shift| self.share(shift)).collect();
+        shares.sort_by(f64::total_cmp);
+        shares[shares.len() / 2]
+    }
+
+    /// The shifts by `min` steps and more at which the details fit about as well as beside rest, and worse on the way: those
+    /// at which most are in view and fit.
+    fn peaks(&self, min: i64) -> Vec<i64> {
+        let usual = self.usual();
+        let repeats = usual + SHIFT_FIT * (self.beside_rest() - usual);
+        let min_share = |shift: i64| {
+            let is_short = shift.abs() as f64 * DETAIL <= ELSEWHERE;
+            if is_short { repeats.max(MIN_SHORT_FIT) } else { repeats }
+        };
+        let is_peak = |&shift: &i64| {
+            let near = (shift - 2).max(-self.reach)..=(shift + 2).min(self.reach);
+            let mut way = if shift > 0 { 1..shift } else { shift + 1..0 };
+            shift.abs() >= min
+                && self.fit(shift) >= MIN_SHIFT_VIEW * self.fit(0)
+                && self.share(shift) >= min_share(shift)
+                && near.into_iter().all(|other| self.fit(other) <= self.fit(shift))
+                && way.any(|other| self.share(other) < SHIFT_VALLEY * self.share(shift))
+        };
+        let mut peaks: Vec<i64> = (-self.reach..=self.reach).filter(is_peak).collect();
+        peaks.sort_by(|a, b| self.fit(*b).total_cmp(&self.fit(*a)).then(a.cmp(b)));
+        peaks.truncate(TRIES);
+        peaks
+    }
 }

@@ -200,19 +200,6 @@ pub fn approach(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: 
     Ok(transform.into())
 }
 
-/// A transform after at most `icp_steps` steps of symmetric point-to-plane ICP on the voxels of
-/// both clouds, with pairs closer than the inlier distance whose normals agree. Directions that the
-/// pairs do not constrain stay.
-///
-/// # Errors
-/// [`Error::Cancelled`](snake_core::Error::Cancelled) and
-/// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
-pub fn icp(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: &Control) -> Result<RigidTransform> {
-    let counter = control.begin("ICP", 0);
-    let run = |gravity| symmetric_icp(pair.surfaces(), *guess.isometry(), gravity, icp_steps, &counter);
-    Ok(level(pair.criteria(), run)?.into())
-}
-
 /// The transform after ICP with any rotation or, where that tilts a known axis too far, with one
 /// about the axis.
 fn level(

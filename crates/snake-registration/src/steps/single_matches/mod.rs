@@ -18,12 +18,11 @@ use crate::cloud::depth_image::{COARSE, DepthImage};
 use crate::cloud::near_grid::NearGrid;
 use crate::cloud::surface;
 use crate::rigid::moved;
-use crate::steps::oriented::Oriented;
 use crate::steps::pair::Pair;
 use free_space::FreeSpace;
 use snake_core::{Control, Counter, Result};
 use snake_geometry::{Vector, vector};
-use surroundings::{AZIMUTHS, Scene, Surroundings};
+use surroundings::{AZIMUTHS, Oriented, Scene, Surroundings};
 
 /// Radius of the surroundings. Unit: inlier distances. Set by hand.
 const RADIUS: f64 = 16.0;
@@ -137,78 +136,4 @@ fn best_voter((from, around): &Place, (to, target): &Place) -> Option<Voter> {
     let (score, Reverse(turn)) = (0..AZIMUTHS).map(score).max()?;
     let transform = from.laid_on(to, f64::from(turn) / f64::from(AZIMUTHS));
     Some(Voter { transform, source: from.point, target: to.point, score })
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::{IsometryMatrix3, Rotation3};
-
-    use super::*;
-    use crate::options::RegisterOptions;
-    use crate::rigid::displacement;
-    use crate::steps::prepare;
-    use snake_geometry::{Point, RigidTransform};
-
-    /// A floor and two walls with a box, points 0.04 apart, seen from the origin.
-    fn room() -> Vec<Point> {
-        let steps = |from: i32, to: i32| (from..to).map(|step| 0.04 * step as f32);
-        let mut points = Vec::new();
-        for a in steps(-50, 50) {
-            for b in steps(-50, 50) {
-                points.extend([[a, b, -1.5], [2.0, a, b], [a, 2.0, b]]);
-            }
-            points.extend(steps(-37, -20).flat_map(|c| [[0.6, 0.3 * a + 1.0, c], [0.3 * a + 1.2, 0.4, c]]));
-        }
-        points
-    }
-
-    fn register(use_viewpoints: bool) -> (IsometryMatrix3<f64>, Vec<IsometryMatrix3<f64>>, usize) {
-        let rotation = Rotation3::from_euler_angles(0.3, -0.2, 2.0);
-        let truth = IsometryMatrix3::from_parts(Vector::zeros().into(), rotation);
-        let source = room();
-        let target = crate::transform_points(&RigidTransform::from(truth), &source);
-        let options = RegisterOptions::default().with_use_viewpoints(use_viewpoints);
-        let sensors = [Some([0.0; 3]); 2];
-        let prepared = prepare(&[&source[..], &target], &sensors, None, &options, &Control::default()).unwrap();
-        let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
-        assert_eq!(pair.is_signed(), use_viewpoints);
-        let nearest = |row: usize, truth: &IsometryMatrix3<f64>| {
-            let point = moved(truth, &vector(pair.clouds()[0].keypoints[row].0));
-            let distance = |other: usize| (vector(pair.clouds()[1].keypoints[other].0) - point).norm();
-            (0..pair.clouds()[1].keypoints.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b))).unwrap()
-        };
-        // Every fourth match is right.
-        let count = pair.clouds()[0].keypoints.len();
-        let matches: Vec<[usize; 2]> = (0..count)
-            .step_by(25)
-            .map(|row| [row, if row % 100 == 0 { nearest(row, &truth) } else { (row * 7919) % count }])
-            .filter(|matched| matched[1] < pair.clouds()[1].keypoints.len())
-            .collect();
-        let voters = Voters::new(&pair, &matches, &Control::default()).unwrap();
-        let transforms = voters.transforms(5);
-        (truth, transforms, voters.support(&truth))
-    }
-
-    #[test]
-    fn right_matches_support_each_other() {
-        let (truth, transforms, support) = register(true);
-        let error = displacement(&transforms[0], &truth, &[Vector::x(), Vector::y(), Vector::z()]);
-        assert!(support >= 5 && error < 0.4 && transforms.len() == 5, "{support} {error}");
-    }
-
-    #[test]
-    fn without_sensors_no_match_votes() {
-        let (_, transforms, support) = register(false);
-        assert!(transforms.is_empty() && support == 0);
-    }
-
-    #[test]
-    fn no_matches_have_no_transforms() {
-        let source = room();
-        let options = RegisterOptions::default();
-        let prepared = prepare(&[&source[..], &source], &[], None, &options, &Control::default()).unwrap();
-        let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
-        let voters = Voters::new(&pair, &[], &Control::default()).unwrap();
-        assert!(voters.transforms(3).is_empty() && voters.support(&IsometryMatrix3::identity()) == 0);
-    }
 }
