@@ -30,7 +30,7 @@ pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: 
         return Ok((modes, ranks));
     }
     let [search, mean, on] = [SEARCH, MEAN, ON].map(|voxels| voxels * field.voxel_size());
-    let points = patches.points.points();
+    let points = patches.points();
     let saliency = field.saliency(points)?;
     let weights: Vec<f32> = saliency.iter().map(|saliency| saliency.powi(POWER)).collect();
     let cells = RadiusCells::new(points, search)?;

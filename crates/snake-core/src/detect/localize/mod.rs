@@ -126,7 +126,7 @@ impl<'a> Surroundings<'a> {
 /// # Errors
 /// [`crate::Error::Input`] when a coordinate is not finite.
 pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> {
-    if resolution("points", patches.points.points())? > DENSE * f64::from(voxel_size) {
+    if resolution("points", patches.points())? > DENSE * f64::from(voxel_size) {
         return Ok(false);
     }
     let number = patches.anchors.points().len();

@@ -1,5 +1,6 @@
 //! Planar patches of a cloud, of as many points as make the normal certain.
 
+use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
@@ -11,7 +12,7 @@ use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 
 /// Numbers of nearest points of a patch. The one whose normal is most certain is taken: dense points and points with noise need more
 /// of them, and so do points on beams, whose nearest neighbours lie on a line. Edges need fewer.
-const SIZES: [usize; 5] = [12, 24, 48, 96, 192];
+const SIZES: [usize; 4] = [12, 24, 48, 96];
 
 /// A normal is certain if its standard deviation is below this, in radians.
 const MAX_TILT: f64 = 0.1;
@@ -28,8 +29,8 @@ const MIN_POINTS: usize = 6;
 /// Smallest ratio of the variances along a patch: points on one beam have no plane.
 const MIN_WIDTH: f64 = 0.05;
 
-/// Where a cell has at least this many points, the first search takes points within this share of the reach.
-const FIRST_REACH: (f64, f32) = (4.0, 0.4);
+/// The first and the second search take about so many points; the last one all that are within reach.
+const SEARCHED: [f32; 2] = [36.0, 144.0];
 
 /// The plane through some points, relative to a point of the cloud.
 #[derive(Debug, Clone, Copy)]
@@ -78,7 +79,8 @@ pub(super) fn first_of_cells(points: &[Point], cell: impl Fn(Point) -> Point) ->
 
 /// The patches at some points of a cloud, each computed when it is first needed.
 pub(crate) struct Patches<'a> {
-    pub(crate) points: RadiusCells<'a>,
+    /// The points, for searches within rising radii.
+    points: Vec<RadiusCells<'a>>,
     /// The radius within which they determine a place.
     pub(super) radius: f32,
     pub(super) anchors: RadiusCells<'a>,
@@ -90,14 +92,23 @@ pub(crate) struct Patches<'a> {
 impl<'a> Patches<'a> {
     /// The patches at anchors, for places that planes within `radius` determine.
     pub(super) fn new(points: &'a [Point], anchors: &'a Anchors, radius: f32) -> Result<Self> {
+        let [side, reach] = PATCHES.map(|share| share * radius);
+        let in_cell = points.len() as f32 / anchors.points.len().max(1) as f32;
+        let searches = SEARCHED.map(|number| side * (number / (std::f32::consts::PI * in_cell)).sqrt());
+        let radii = searches.into_iter().filter(|radius| *radius < reach).chain([reach]);
         Ok(Self {
             radius,
-            points: RadiusCells::new(points, PATCHES[1] * radius)?,
+            points: radii.map(|radius| RadiusCells::new(points, radius)).collect::<Result<_>>()?,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
             min_density: anchors.min_density,
             patches: anchors.points.iter().map(|_| OnceLock::new()).collect(),
         })
+    }
+
+    /// The points.
+    pub(crate) fn points(&self) -> &[Point] {
+        self.points[0].points()
     }
 
     /// The patch at an anchor; `None` where too few points are near.
@@ -107,38 +118,58 @@ impl<'a> Patches<'a> {
     }
 
     fn fitted(&self, at: &Point, in_cell: f64) -> Option<Patch> {
-        let (many, share) = FIRST_REACH;
-        let mut reach = if in_cell < many { 1.0 } else { share } * self.points.radius();
-        let mut near = self.near(at, reach);
+        let mut searches = self.points.iter();
+        let mut near = Vec::new();
         let (mut sums, mut best) = (Sums::default(), None::<(f64, Sums)>);
         for size in SIZES {
-            if near.len() < size && reach < self.points.radius() {
-                reach = self.points.radius();
-                near = self.near(at, reach);
+            while near.len() < size
+                && let Some(cells) = searches.next()
+            {
+                near = self.near(cells, at);
+                put_nearest_first(&mut near, sums.count);
             }
-            near.iter().take(size).skip(sums.count).for_each(|&(_, index)| sums.add(&self.offset(at, index)));
+            let rest = &mut near[sums.count..];
+            let number = (size - sums.count).min(rest.len());
+            put_nearest_first(rest, number);
+            rest[..number].sort_unstable_by(by_distance);
+            rest[..number].iter().for_each(|&(_, index)| sums.add(&self.offset(at, index)));
             let steadiness = sums.tilt_and_flatness();
             if let Some((tilt, _)) = steadiness.filter(|(tilt, _)| best.is_none_or(|(least, _)| *tilt <= least)) {
                 best = Some((tilt, sums));
             }
             let is_enough = |(tilt, flatness)| tilt < ENOUGH && flatness < MAX_FLATNESS;
-            if steadiness.is_some_and(is_enough) || size >= near.len() {
+            if steadiness.is_some_and(is_enough) || size > sums.count {
                 break;
             }
         }
         best.map(|(_, sums)| sums.plane(in_cell))
     }
 
-    /// The points near a place by their squared distance from it, nearest first.
-    fn near(&self, at: &Point, reach: f32) -> Vec<(f64, usize)> {
+    /// The squared distances of points near a place, and their indices.
+    fn near(&self, cells: &RadiusCells, at: &Point) -> Vec<(f32, u32)> {
         let mut near = Vec::new();
-        self.points.within(at, reach, |index| near.push((self.offset(at, index).norm_squared(), index)));
-        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        cells.within(at, cells.radius(), |index| {
+            let point = self.points()[index];
+            let squared = (0..3).map(|axis| (point[axis] - at[axis]).powi(2)).sum();
+            near.push((squared, index as u32));
+        });
         near
     }
 
-    fn offset(&self, at: &Point, index: usize) -> Vector {
-        vector(self.points.points()[index]) - vector(*at)
+    fn offset(&self, at: &Point, index: u32) -> Vector {
+        vector(self.points()[index as usize]) - vector(*at)
+    }
+}
+
+/// The order of points by their distance.
+fn by_distance(a: &(f32, u32), b: &(f32, u32)) -> Ordering {
+    a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+}
+
+/// Moves so many of the nearest points to the front.
+fn put_nearest_first(near: &mut [(f32, u32)], number: usize) {
+    if number < near.len() {
+        near.select_nth_unstable_by(number, by_distance);
     }
 }
 
