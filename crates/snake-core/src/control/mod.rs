@@ -7,7 +7,7 @@ mod threads;
 
 pub use self::parallel_map::parallel_map;
 pub use self::progress::{Progress, Stage};
-pub use self::threads::{ProcessPool, max_num_threads};
+pub use self::threads::{ProcessPool, max_num_threads, run_watched};
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
