@@ -242,17 +242,4 @@ mod tests {
         let bytes = safetensors::serialize(file.tensors(), Some(metadata.into_iter().collect())).unwrap();
         Model::from_bytes(&bytes).unwrap()
     }
-
-    #[test]
-    fn a_call_stopped_before_it_begins_does_nothing() {
-        let (points, _) = cylinder();
-        let model = Model::builtin(Builtin::Compact);
-        let flag = CancelFlag::default();
-        let late = Control::new().deadline(Instant::now());
-        assert!(matches!(model.detect_with(&points, model.recommended(), &late), Err(Error::DeadlineExceeded)));
-        flag.clone().cancel();
-        let both = late.cancel(&flag);
-        assert!(flag.is_cancelled());
-        assert!(matches!(model.detect_with(&points, model.recommended(), &both), Err(Error::Cancelled)));
-    }
 }

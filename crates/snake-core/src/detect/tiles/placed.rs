@@ -162,9 +162,9 @@ impl PlacedDetector {
         Ok(TileOutcome::Done(TileCandidates { candidates, counts }))
     }
 
-    fn is_in(&self, point: &Point, columns: &[Range<i32>; 2]) -> bool {
-        let is_inside = |column: [i32; 2]| (0..2).all(|axis| columns[axis].contains(&column[axis]));
-        self.column(point).is_ok_and(is_inside)
+    /// Whether a point lies in the columns.
+    pub fn is_in(&self, point: &Point, columns: &[Range<i32>; 2]) -> bool {
+        self.column(point).is_ok_and(|column| contain(columns, column))
     }
 
     /// The candidates of a tile after mode seeking; `None` if a choice depends on candidates beyond. `candidates` are those of the
@@ -183,10 +183,7 @@ impl PlacedDetector {
         let reach = f64::from(self.radii.starts) * (1.0 + 1e-5);
         let sees_all = |rank: usize| seen.is_none_or(|seen| self.is_inside(&ranked[rank], reach, seen));
         let fates = suppress_seen(&ranked, self.radii.starts, sees_all)?;
-        let is_own = |index: usize| {
-            let column = self.column_of(&candidates[index].cell);
-            (0..2).all(|axis| tile[axis].contains(&column[axis]))
-        };
+        let is_own = |index: usize| contain(tile, self.column_of(&candidates[index].cell));
         let own = || order.iter().zip(&fates).filter(|(index, _)| is_own(**index));
         if own().any(|(_, fate)| *fate == Fate::Unknown) {
             return Ok(None);
@@ -232,6 +229,10 @@ impl PlacedDetector {
         order.iter().zip(ranked_fates).for_each(|(&index, fate)| fates[index] = fate);
         Ok(fates)
     }
+}
+
+fn contain(columns: &[Range<i32>; 2], [x, y]: [i32; 2]) -> bool {
+    columns[0].contains(&x) && columns[1].contains(&y)
 }
 
 /// Adds to the error of a volume that is too large that smaller tiles help.

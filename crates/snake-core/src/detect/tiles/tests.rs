@@ -1,4 +1,4 @@
-//! What a detector of tiles takes. `snake-tiles` compares the keypoints of tiles with those of whole clouds.
+//! A detector of tiles refuses what it cannot take. `snake-tiles` compares the keypoints of tiles with those of whole clouds.
 
 use super::*;
 use crate::{Builtin, Model};
