@@ -22,7 +22,7 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
 /// Interval at which a call checks for signals: Ctrl-C must end the call within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What a caller asked for beside the result: when the call ends at the latest, and to be told of its progress.
+/// The deadline of a call, and whom it tells of its progress.
 #[derive(Default)]
 pub struct Watch {
     deadline: Option<Instant>,

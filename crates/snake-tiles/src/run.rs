@@ -204,8 +204,7 @@ impl TiledRun {
     pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut inside = Vec::new();
         let mut add = |point: Point, index: u64| {
-            let is_inside = |[x, y]: [i32; 2]| columns[0].contains(&x) && columns[1].contains(&y);
-            if self.detector.column(&point).is_ok_and(is_inside) {
+            if self.detector.is_in(&point, columns) {
                 inside.push((index, point));
             }
         };
