@@ -8,22 +8,22 @@ ROOT = Path(__file__).parents[1]
 MAX_LINES = {
     "crates/snake-capi": 887,
     "crates/snake-cli": 6388,
-    "crates/snake-core": 11635,
+    "crates/snake-core": 11782,
     "crates/snake-detectors": 1242,
-    "crates/snake-geometry": 5380,
-    "crates/snake-io": 10557,
+    "crates/snake-geometry": 5386,
+    "crates/snake-io": 10552,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 11000,
-    "crates/snake-tiles": 1855,
+    "crates/snake-tiles": 1849,
     "crates/snake-view": 575,
     "docs": 423,
     "examples": 500,
     "fuzz": 79,
-    "python": 4539,
+    "python": 4528,
     "samples": 96,
     "tests": 5058,
     "tools": 267,
-    "training": 13077,
+    "training": 13075,
 }
 
 

@@ -1,10 +1,9 @@
 //! Threads and signals. Each process has its own thread pool, so that calls also work after a fork. Long calls handle
 //! signals such as Ctrl-C while they run.
 
-use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use snake_core::{CancelFlag, Control, ProcessPool, Progress, Result, max_num_threads};
 
@@ -23,7 +22,7 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
 /// Interval at which a call checks for signals: Ctrl-C must end the call within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What a caller asked for beside the result: when the call ends at the latest, and to be told of its progress.
+/// The deadline of a call, and whom it tells of its progress.
 #[derive(Default)]
 pub struct Watch {
     deadline: Option<Instant>,
@@ -73,30 +72,20 @@ pub fn run_watched<T: Send>(
         Ok(())
     };
     py.detach(|| {
-        let (done, result) = channel();
-        pool.in_place_scope(|scope| {
-            scope.spawn(|_| drop(done.send(work(&control))));
-            let mut raised = None;
-            loop {
-                match result.recv_timeout(SIGNAL_INTERVAL) {
-                    Ok(result) => {
-                        if result.is_ok() && raised.is_none() {
-                            raised = Python::attach(&mut tell).err();
-                        }
-                        return raised.map_or_else(|| result.map_err(py_error), Err);
-                    }
-                    Err(RecvTimeoutError::Timeout) if raised.is_none() => {
-                        raised = Python::attach(|py| py.check_signals().and_then(|()| tell(py))).err();
-                        if raised.is_some() {
-                            flag.cancel();
-                        }
-                    }
-                    Err(RecvTimeoutError::Timeout) => {}
-                    // The work panicked; the scope passes that on.
-                    Err(RecvTimeoutError::Disconnected) => return Err(PyRuntimeError::new_err("the work panicked")),
+        let mut raised = None;
+        let tick = || {
+            if raised.is_none() {
+                raised = Python::attach(|py| py.check_signals().and_then(|()| tell(py))).err();
+                if raised.is_some() {
+                    flag.cancel();
                 }
             }
-        })
+        };
+        let result = snake_core::run_watched(&pool, SIGNAL_INTERVAL, tick, || work(&control));
+        if result.is_ok() && raised.is_none() {
+            raised = Python::attach(&mut tell).err();
+        }
+        raised.map_or_else(|| result.map_err(py_error), Err)
     })
 }
 

@@ -90,8 +90,8 @@ mod tests {
 
     #[test]
     fn a_panic_is_an_error_with_its_text() {
-        let numbers = [1, 2];
-        let status = guarded(|| Err(Failure::new(SnakeStatus::Io, numbers[numbers.len()].to_string())));
+        let beyond = |numbers: &[u8]| numbers[numbers.len()].to_string();
+        let status = guarded(|| crate::threads::run(|| Err(Failure::new(SnakeStatus::Io, beyond(&[1, 2])))));
         assert_eq!(status, SnakeStatus::Internal);
         // SAFETY: the text is that of this thread.
         let text = unsafe { std::ffi::CStr::from_ptr(snake_last_error()) };

@@ -22,8 +22,9 @@ mod timing;
 mod view;
 
 use std::ffi::OsString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use clap::builder::Resettable;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, CommandFactory, FromArgMatches};
@@ -44,7 +45,13 @@ pub fn run(words: &[OsString]) -> u8 {
         Err(error) => return explain(error, words),
     };
     terminal::set_verbosity(arguments.verbosity());
-    run_command(&arguments.command).unwrap_or_else(|error| {
+    ended(|| run_command(&arguments.command))
+}
+
+/// The exit code of a command. Its error is printed; of a panic, the place is printed already.
+fn ended(command: impl FnOnce() -> Result<u8>) -> u8 {
+    let defect = |_| Err(anyhow!("a defect of the program ended the command; please report the text above"));
+    catch_unwind(AssertUnwindSafe(command)).unwrap_or_else(defect).unwrap_or_else(|error| {
         terminal::error(&error);
         ERROR
     })
@@ -117,4 +124,12 @@ fn with_printable_arguments(error: clap::Error, words: &[OsString]) -> clap::Err
         error.insert(ContextKind::InvalidValue, ContextValue::String(value));
     }
     error
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_panic_is_an_error() {
+        assert_eq!(super::ended(|| panic!("no such case")), super::ERROR);
+    }
 }

@@ -56,8 +56,13 @@ pub use builtin::Builtin;
 #[cfg(feature = "builtin-models")]
 pub use choose::{Chooser, Chosen, ChosenBy, NamedModel};
 pub use cloud::{UsedCloud, scene_signs};
-pub use control::{CancelFlag, Control, Counter, ProcessPool, Progress, Stage, max_num_threads, parallel_map};
-pub use detect::{Candidate, Counts, Detection, TileCandidates, TileDetector, TileSettings, Timing, by_rank};
+pub use control::{
+    CancelFlag, Control, Counter, ProcessPool, Progress, Stage, max_num_threads, parallel_map, run_watched,
+};
+pub use detect::{
+    Candidate, Counts, Detection, PlacedDetector, TileCandidates, TileDetector, TileOutcome, TileSettings, Timing,
+    by_rank,
+};
 pub use field::{Field, Grid};
 pub use lattice::{VolumeFrame, VolumeShape};
 pub use live::FrameDetector;

@@ -155,8 +155,7 @@ impl Model {
 }
 
 impl TileDetector {
-    /// A detector of tiles. It needs [`TileDetector::set_bounds`], without a voxel size
-    /// [`TileDetector::choose_voxel_size`], and with lengths in `r` [`TileDetector::set_resolution`], all for the whole cloud.
+    /// A detector of tiles. Without a voxel size it needs [`TileDetector::choose_voxel_size`], then [`TileDetector::place`].
     ///
     /// # Errors
     /// [`Error::Option`] when the model is none of scenes, or when an option is out of its range or needs the whole cloud: a

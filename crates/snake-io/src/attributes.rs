@@ -130,7 +130,7 @@ impl Attributes {
         self
     }
 
-    /// Those of several clouds one after another: what all of them have. Only one cloud has one sensor.
+    /// The attributes that all of several clouds have, one cloud after another. Only one cloud has one sensor.
     pub fn joined(parts: &[Self]) -> Self {
         fn all<T: Clone>(parts: &[Attributes], of: impl Fn(&Attributes) -> Option<&Vec<T>>) -> Option<Vec<T>> {
             parts

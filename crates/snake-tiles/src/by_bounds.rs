@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
-use snake_core::TileDetector;
+use snake_core::{PlacedDetector, TileDetector};
 use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::Copc;
 
@@ -37,7 +37,7 @@ impl TiledRun {
                 plan.versions = versions;
                 plan.write(&folder)?;
             }
-            return Self { detector, plan, folder, copc: files }.placed();
+            return Self::placed(&detector, plan, folder, files);
         }
         let mut extent = Extent::default();
         for file in &files {
@@ -46,7 +46,7 @@ impl TiledRun {
         }
         let bounds = extent.bounds;
         let plan = Plan::new(source, versions, extent.checked()?);
-        Self { detector, plan, folder, copc: files }.begun(|run| {
+        Self::placed(&detector, plan, folder, files)?.begun(&detector, |run| {
             run.plan.num_points = run.copc.iter().map(Copc::num_points).sum();
             run.plan.tiles = tiles(&run.detector, &run.plan, &run.copc, &bounds)?;
             Ok(())
@@ -61,7 +61,7 @@ impl TiledRun {
         let folder = RunFolder::open(folder)?;
         let plan = Plan::open(&folder, &detector.settings())?;
         plan.check_files(&folder, &files)?;
-        Self { detector, plan, folder, copc: files }.placed()
+        Self::placed(&detector, plan, folder, files)
     }
 
     /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.
@@ -80,7 +80,7 @@ impl TiledRun {
 }
 
 /// The tiles that may have points, by place.
-fn tiles(detector: &TileDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) -> Result<Vec<Tile>> {
+fn tiles(detector: &PlacedDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) -> Result<Vec<Tile>> {
     let column = |corner| detector.column(&subtract_origin(corner, plan.origin));
     let (low, high) = (column(bounds.low)?, column(bounds.high)?);
     let number = |low: [i32; 2], high: [i32; 2]| -> u64 {

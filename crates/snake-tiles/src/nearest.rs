@@ -53,11 +53,8 @@ impl TiledRun {
                 let columns = widen(&own, margin);
                 let (points, _) = self.points(&columns)?;
                 let is_whole = self.plan.is_inside(&columns);
-                let is_own = |point: &Point| {
-                    let is_inside = |column: [i32; 2]| (0..2).all(|axis| own[axis].contains(&column[axis]));
-                    self.detector.column(point).is_ok_and(is_inside)
-                };
-                let own: Vec<(Point, f64)> = gaps(&points)?.into_iter().filter(|(point, _)| is_own(point)).collect();
+                let is_own = |(point, _): &(Point, f64)| self.detector.is_in(point, &own);
+                let own: Vec<(Point, f64)> = gaps(&points)?.into_iter().filter(is_own).collect();
                 let is_known = |(point, gap): &(Point, f64)| is_whole || self.detector.is_inside(point, *gap, &columns);
                 known = own.iter().all(is_known).then_some(own);
                 margin = margin.saturating_mul(2);

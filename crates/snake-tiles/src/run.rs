@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use snake_core::{Control, Options, TileDetector};
+use snake_core::{Control, Options, PlacedDetector, TileDetector, TileOutcome};
 use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
@@ -17,7 +17,7 @@ use crate::{Error, Result};
 /// A run whose points are on disk.
 #[derive(Debug)]
 pub struct TiledRun {
-    pub(crate) detector: TileDetector,
+    pub(crate) detector: PlacedDetector,
     pub(crate) plan: Plan,
     pub(crate) folder: RunFolder,
     /// The COPC files that have the points; none when the folder has them.
@@ -62,10 +62,10 @@ impl TiledRun {
         let source = Source::new(files, read, columns, detector.settings())?;
         let folder = RunFolder::new(folder, source.id()?)?;
         if folder.has(PLAN) {
-            return Self { detector, plan: Plan::read(&folder)?, folder, copc: Vec::new() }.placed();
+            return Self::placed(&detector, Plan::read(&folder)?, folder, Vec::new());
         }
         let plan = Plan::new(source, before, extent(files, read)?);
-        Self { detector, plan, folder, copc: Vec::new() }.begun(|run| {
+        Self::placed(&detector, plan, folder, Vec::new())?.begun(&detector, |run| {
             run.sort_points(files, read)?;
             if versions()? == run.plan.versions {
                 return Ok(());
@@ -76,15 +76,13 @@ impl TiledRun {
     }
 
     /// Marks the folder, and writes the plan once `make` has made what it names. If that fails, all of it goes again.
-    pub(crate) fn begun(mut self, make: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
+    pub(crate) fn begun(mut self, detector: &TileDetector, make: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         self.folder.mark()?;
-        self.detector.set_bounds(self.plan.corners)?;
         let prepare = || {
             make(&mut self)?;
-            if self.detector.needs_resolution() {
-                let resolution = self.resolution()?;
-                self.detector.set_resolution(resolution)?;
-                self.plan.resolution = Some(resolution);
+            if detector.needs_resolution() {
+                self.plan.resolution = Some(self.resolution()?);
+                self.detector = detector.place(self.plan.corners, self.plan.resolution)?;
             }
             self.plan.write(&self.folder)
         };
@@ -97,11 +95,9 @@ impl TiledRun {
         }
     }
 
-    /// The run with a detector whose lattice begins where the cloud does, and whose lengths in `r` have their value.
-    pub(crate) fn placed(mut self) -> Result<Self> {
-        self.detector.set_bounds(self.plan.corners)?;
-        self.plan.resolution.map_or(Ok(()), |resolution| self.detector.set_resolution(resolution))?;
-        Ok(self)
+    /// The run with the detector of the plan's cloud.
+    pub(crate) fn placed(detector: &TileDetector, plan: Plan, folder: RunFolder, copc: Vec<Copc>) -> Result<Self> {
+        Ok(Self { detector: detector.place(plan.corners, plan.resolution)?, plan, folder, copc })
     }
 
     /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
@@ -113,7 +109,7 @@ impl TiledRun {
         let folder = RunFolder::open(folder)?;
         let plan = Plan::open(&folder, &detector.settings())?;
         if !plan.source.by_bounds {
-            return Self { detector, plan, folder, copc: Vec::new() }.placed();
+            return Self::placed(&detector, plan, folder, Vec::new());
         }
         let copc = open_all(plan.files(), &ReadOptions::default()).ok_or_else(|| Error::other_run(&folder.path))?;
         Self::open_copc(detector, copc, &folder.path)
@@ -195,10 +191,10 @@ impl TiledRun {
             let near = widen(&columns, margin);
             let (points, _) = self.points(&widen(&near, self.detector.halo()))?;
             let is_whole = self.plan.is_inside(&near);
-            if let Some(candidates) = self.detector.detect(&points, &columns, margin, is_whole, control)? {
-                break candidates;
+            match self.detector.detect(&points, &columns, margin, is_whole, control)? {
+                TileOutcome::Done(candidates) => break candidates,
+                TileOutcome::NeedsMargin(wider) => margin = wider,
             }
-            margin = margin.saturating_mul(2);
         };
         self.folder.check()?;
         candidates::write(&self.folder, tile.place, &candidates)
@@ -208,8 +204,7 @@ impl TiledRun {
     pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut inside = Vec::new();
         let mut add = |point: Point, index: u64| {
-            let is_inside = |[x, y]: [i32; 2]| columns[0].contains(&x) && columns[1].contains(&y);
-            if self.detector.column(&point).is_ok_and(is_inside) {
+            if self.detector.is_in(&point, columns) {
                 inside.push((index, point));
             }
         };
@@ -257,9 +252,10 @@ pub(crate) fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
 
 /// The number of columns along a side of about `side` cloud units.
 pub(crate) fn columns_of(detector: &TileDetector, side: f64) -> Result<i32> {
-    let columns = (side / detector.column_side()).round().max(1.0);
+    let column_side = detector.column_side()?;
+    let columns = (side / column_side).round().max(1.0);
     if !(side > 0.0 && columns < f64::from(1 << 20)) {
-        let reason = format!("a side of {side}; allowed is about {} to 1000000 times that", detector.column_side());
+        let reason = format!("a side of {side}; allowed is about {column_side} to 1000000 times that");
         return Err(Error::Refused { what: "tile", reason });
     }
     Ok(columns as i32)

@@ -7,7 +7,7 @@ mod threads;
 
 pub use self::parallel_map::parallel_map;
 pub use self::progress::{Progress, Stage};
-pub use self::threads::{ProcessPool, max_num_threads};
+pub use self::threads::{ProcessPool, max_num_threads, run_watched};
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -241,18 +241,5 @@ mod tests {
         metadata.insert("resolution".into(), "[64, 64, 64]".into());
         let bytes = safetensors::serialize(file.tensors(), Some(metadata.into_iter().collect())).unwrap();
         Model::from_bytes(&bytes).unwrap()
-    }
-
-    #[test]
-    fn a_call_stopped_before_it_begins_does_nothing() {
-        let (points, _) = cylinder();
-        let model = Model::builtin(Builtin::Compact);
-        let flag = CancelFlag::default();
-        let late = Control::new().deadline(Instant::now());
-        assert!(matches!(model.detect_with(&points, model.recommended(), &late), Err(Error::DeadlineExceeded)));
-        flag.clone().cancel();
-        let both = late.cancel(&flag);
-        assert!(flag.is_cancelled());
-        assert!(matches!(model.detect_with(&points, model.recommended(), &both), Err(Error::Cancelled)));
     }
 }

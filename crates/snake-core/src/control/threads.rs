@@ -1,8 +1,10 @@
 //! The threads of a process, and the number that a caller may ask for.
 
 use std::mem::forget;
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::available_parallelism;
+use std::time::Duration;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -76,5 +78,49 @@ impl ProcessPool {
             forget(pool);
         }
         Ok(())
+    }
+}
+
+/// Runs work on the threads of a pool. Until the work has ended, the calling thread calls `tick` every `interval`. A panic of
+/// the work goes on in the caller.
+pub fn run_watched<T: Send>(
+    pool: &ThreadPool,
+    interval: Duration,
+    mut tick: impl FnMut(),
+    work: impl FnOnce() -> T + Send,
+) -> T {
+    let (done, ended) = channel();
+    let result = pool.in_place_scope(|scope| {
+        // The sender is moved into the job: a panic drops it, and the receiver hears of that.
+        scope.spawn(move |_| drop(done.send(work())));
+        loop {
+            match ended.recv_timeout(interval) {
+                Ok(result) => return Some(result),
+                Err(RecvTimeoutError::Timeout) => tick(),
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+    });
+    result.unwrap_or_else(|| unreachable!("the scope passes on the panic of its job"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::time::Instant;
+
+    use rayon::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn a_panic_of_watched_work_goes_on_in_the_caller() {
+        let pool = ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let start = Instant::now();
+        let tick = || assert!(start.elapsed() < Duration::from_secs(60), "the work ended long ago");
+        let work = || (0..9).into_par_iter().for_each(|index| assert_ne!(index, 7, "seven"));
+        let watched = AssertUnwindSafe(|| run_watched(&pool, Duration::from_millis(1), tick, work));
+        let panic = catch_unwind(watched).unwrap_err();
+        assert!(panic.downcast_ref::<String>().is_some_and(|text| text.contains("seven")));
     }
 }

@@ -13,7 +13,7 @@ pub(crate) mod tests;
 mod tiles;
 
 pub use self::detection::{Counts, Detection, Timing};
-pub use self::tiles::{Candidate, TileCandidates, TileDetector, TileSettings, by_rank};
+pub use self::tiles::{Candidate, PlacedDetector, TileCandidates, TileDetector, TileOutcome, TileSettings, by_rank};
 
 use self::finish::finish;
 use self::occupied::above_occupancy;

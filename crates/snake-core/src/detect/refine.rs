@@ -94,7 +94,7 @@ fn refine_tile(
     Ok(())
 }
 
-/// For each query of a tile, the most salient position of its trajectory that lies on the surface; the first of several.
+/// The most salient position on the surface of each query's trajectory; the first of several.
 ///
 /// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
 /// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `start_occupancy` is the
@@ -148,7 +148,7 @@ pub(crate) struct Ascent {
 }
 
 impl Ascent {
-    /// Of a tile of `num_positions` among `num_queries` queries.
+    /// The ascent of a tile with `num_positions` of all `num_queries` queries.
     pub(crate) fn new(num_positions: usize, num_queries: usize, options: &DetectOptions) -> Self {
         let step_size = options.refine_step_size;
         Self { method: options.refine_method, step_size, num_queries, adam: Adam::new(num_positions, step_size) }

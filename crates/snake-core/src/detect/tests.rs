@@ -4,7 +4,7 @@ use super::corners::ranks;
 use super::localize::Place;
 use super::*;
 use crate::{Builtin, EncodeOptions, Model, Preference};
-use snake_geometry::{Keypoint, Length};
+use snake_geometry::Keypoint;
 
 /// A cylinder's points and its field by the built-in model.
 pub(crate) fn cylinder() -> (Vec<Point>, Field) {
@@ -67,23 +67,6 @@ fn preferred_corners_of_a_box_are_its_corners_and_no_edges() {
     for corner in (0..8).map(|i| [0, 1, 2].map(|axis| sides[axis] * (i >> axis & 1) as f32)) {
         let distance = |k: &Keypoint| (0..3).map(|axis| (k.position[axis] - corner[axis]).powi(2)).sum::<f32>().sqrt();
         assert!(keypoints.iter().any(|keypoint| distance(keypoint) < 0.05), "{corner:?}");
-    }
-}
-
-#[test]
-fn a_suppression_radius_may_be_a_multiple_of_the_resolution() {
-    let (points, field) = cylinder();
-    let detect = |radius: Length| {
-        let nms_radius = Some(radius);
-        let options = DetectOptions { nms_radius, saliency_threshold: 0.0, max_keypoints: 1000, ..Default::default() };
-        field.detect(&options).map(|detection| detection.keypoints)
-    };
-    let multiple = Length::Resolutions(5.0);
-    let radius = multiple.in_units("nms_radius", &points).unwrap();
-    assert_eq!(detect(multiple).unwrap(), detect(Length::Units(radius)).unwrap());
-    assert!(detect(multiple).unwrap().len() < detect(Length::Units(0.0)).unwrap().len());
-    for wrong in [Length::Resolutions(0.0), Length::Resolutions(-1.0), Length::Units(-1.0), Length::Units(1e60)] {
-        assert!(detect(wrong).unwrap_err().to_string().contains("nms_radius"), "{wrong}");
     }
 }
 

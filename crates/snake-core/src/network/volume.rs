@@ -24,7 +24,7 @@ impl Volume {
         &self.values
     }
 
-    /// The number of features along each dimension: `[z][y][x][channel]`. Of a scene, z counts the planes of its blocks of
+    /// The number of features along each dimension: `[z][y][x][channel]`. In a scene, z counts the planes of its blocks of
     /// 4³ voxels one after another; the first block holds the features far from all points.
     pub fn shape(&self) -> [usize; 4] {
         let [depth, height, width] = self.lattice.size();

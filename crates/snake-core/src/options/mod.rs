@@ -50,13 +50,17 @@ mod tests {
     use snake_geometry::Length;
 
     #[test]
-    fn a_mode_radius_is_a_length_and_0_is_off() {
-        let with = |mode_radius| DetectOptions { mode_radius, ..Default::default() }.check_ranges();
+    fn a_radius_is_a_length_and_0_is_off() {
+        let with = |radius| {
+            let options = DetectOptions { mode_radius: radius, ..Default::default() };
+            [options.check_ranges(), options.with_nms_radius(radius).with_mode_radius(None).check_ranges()]
+        };
         for right in [None, Some(Length::Units(0.06)), Some(Length::Resolutions(2.0)), Some(Length::Percent(8.0))] {
-            assert!(with(right).is_ok(), "{right:?}");
+            assert!(with(right).iter().all(Result::is_ok), "{right:?}");
         }
-        for wrong in [-1.0, f64::NAN, 1e60] {
-            assert!(with(Some(Length::Units(wrong))).unwrap_err().to_string().contains("mode_radius"), "{wrong}");
+        for wrong in [Length::Units(-1.0), Length::Units(f64::NAN), Length::Units(1e60), Length::Resolutions(-1.0)] {
+            let errors = with(Some(wrong)).map(|checked| checked.unwrap_err().to_string());
+            assert!(errors[0].contains("mode_radius") && errors[1].contains("nms_radius"), "{errors:?}");
         }
         let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
         assert!(off.check_ranges().is_ok() && off.radii(&[], 1.0, None).unwrap().mode.is_none());

@@ -21,7 +21,7 @@ use crate::text::number::{cell, number};
 use crate::text::separator::{Separator, without_brackets};
 use snake_geometry::{RigidTransform, excerpt};
 
-/// Titles above a header may take this many lines.
+/// The greatest number of lines of titles above a header.
 const MAX_TITLE_LINES: usize = 20;
 
 /// Reads one point per line: x, y, z in the chosen columns, else in the columns that a header names, else in the first
@@ -81,29 +81,51 @@ struct Text<'a> {
 
 impl<'a> Text<'a> {
     fn open(bytes: &'a [u8], columns: Option<&Columns>, in_blocks: bool) -> Result<Self, String> {
+        let tells = |header: &Header| header.tells(columns);
         let mut lines = Lines::from_text(bytes)?;
-        let mut above = Above { columns, comments: Vec::new(), header: None };
         let mut blocks = Blocks { in_blocks, ..Blocks::default() };
-        loop {
+        let (mut header, mut comments, mut words) = (None, Vec::new(), Vec::new());
+        // The first row of three numbers, or the first below a header that tells where they are.
+        let mut first = loop {
             let from_here = lines.clone();
-            let Some((first_line, line)) = lines.next() else { break };
-            // Any comment above the points can be the header.
+            let Some((number, line)) = lines.next() else { break None };
             if is_comment(line) {
-                above.comments.push(line);
+                comments.push(line);
                 continue;
             }
             let line = text(line);
             let row = without_brackets(&line);
-            let is_count = !row.is_empty() && blocks.begins(row, first_line, 0, above.header.is_none());
-            if row.is_empty() || is_count || above.is_heading(row, &lines) {
+            let (is_headed, blocks_above) = (header.is_some(), blocks);
+            let is_count = blocks.begins(row, number, 0, !is_headed);
+            if row.is_empty() || is_headed && is_units(row) || is_count && (is_headed || words.is_empty()) {
                 continue;
             }
-            let layout = above.layout(row).map_err(|reason| format!("line {first_line}: {reason}"))?;
-            return Ok(Self { bytes, lines: from_here, first_line, blocks, layout: Some(layout), header: None });
+            if is_headed {
+                break Some(from_here);
+            }
+            match Header::of(row) {
+                Some(named) if tells(&named) => header = Some(named),
+                _ if has_three_numbers(row) || words.len() == MAX_TITLE_LINES => break Some(from_here),
+                named => words.push((from_here, named, blocks_above)),
+            }
+        };
+        // The words above a header that tells are titles. Without one they are at most one line of names.
+        if header.is_none() {
+            let mut words = words.into_iter().peekable();
+            header = words.next_if(|(_, named, _)| named.is_some()).and_then(|(_, named, _)| named);
+            if let Some((from_here, _, blocks_above)) = words.next() {
+                (first, blocks) = (Some(from_here), blocks_above);
+            }
+        }
+        let row = first.and_then(|lines| lines.clone().next().map(|(number, line)| (lines, number, text(line))));
+        if let Some((lines, first_line, line)) = row {
+            let layout = Layout::of(without_brackets(&line), header, &comments, columns);
+            let layout = layout.map_err(|reason| format!("line {first_line}: {reason}"))?;
+            return Ok(Self { bytes, lines, first_line, blocks, layout: Some(layout), header: None });
         }
         blocks.check(0)?;
-        match above.header {
-            Some(header) if !header.tells(columns) => {
+        match header {
+            Some(header) if !tells(&header) => {
                 Err(format!("no points below `{}`", excerpt(&header.names.join(" "), 60)))
             }
             header => Ok(Self { bytes, lines, first_line: 0, blocks, layout: None, header }),
@@ -192,61 +214,6 @@ impl Blocks {
     }
 }
 
-/// The lines above the points.
-struct Above<'a> {
-    columns: Option<&'a Columns>,
-    comments: Vec<&'a [u8]>,
-    header: Option<Header>,
-}
-
-impl Above<'_> {
-    /// Whether a line above the points is the header, a line of units below it, or a title above it.
-    fn is_heading(&mut self, line: &str, later: &Lines) -> bool {
-        let tells = |header: &Header| header.tells(self.columns);
-        if self.header.as_ref().is_some_and(tells) {
-            return is_units(line);
-        }
-        let header = Header::of(line);
-        if !header.as_ref().is_some_and(tells) {
-            let numbers = Separator::of(line, b";,|").fields(line).filter(|field| number(field).is_some()).count();
-            let mut later = later.clone().take(MAX_TITLE_LINES).filter_map(|(_, line)| Header::of(&text(line)));
-            if numbers < 3 && later.any(|header| tells(&header)) {
-                return true;
-            }
-            if self.header.is_some() || header.is_none() {
-                return false;
-            }
-        }
-        self.header = header;
-        true
-    }
-
-    /// The layout of the first row by the header and the comments above it.
-    fn layout(&mut self, row: &str) -> Result<Layout, String> {
-        let mut header = match self.header.take() {
-            None => Header::among(&self.comments, row, self.columns)?,
-            header => header,
-        };
-        if let Some(header) = &mut header {
-            header.name_index(row);
-        }
-        let names = header.as_ref().map_or(&[][..], |header| &header.names);
-        let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
-        let known: &[u8] = if has_tabs { b"\t" } else { b";,|" };
-        let separator = Separator::of(row, known);
-        let width = if names.is_empty() { separator.fields(row).count() } else { names.len() };
-        Ok(Layout {
-            first_row: row.into(),
-            is_chosen: self.columns.is_some_and(Columns::are_numbers),
-            known,
-            separator,
-            width,
-            num_numbers: leading_numbers(row, separator),
-            header,
-        })
-    }
-}
-
 /// The columns of the rows.
 struct Layout {
     first_row: String,
@@ -264,6 +231,30 @@ struct Layout {
 }
 
 impl Layout {
+    /// The layout of the first row by the header, else by the comments above it.
+    fn of(row: &str, header: Option<Header>, comments: &[&[u8]], columns: Option<&Columns>) -> Result<Self, String> {
+        let mut header = match header {
+            None => Header::among(comments, row, columns)?,
+            header => header,
+        };
+        if let Some(header) = &mut header {
+            header.name_index(row);
+        }
+        let has_tabs = header.as_ref().is_some_and(|header| header.separator == Separator::Char(b'\t'));
+        let known: &[u8] = if has_tabs { b"\t" } else { b";,|" };
+        let separator = Separator::of(row, known);
+        let num_names = header.as_ref().map(|header| header.names.len()).filter(|&number| number > 0);
+        Ok(Self {
+            first_row: row.into(),
+            is_chosen: columns.is_some_and(Columns::are_numbers),
+            known,
+            separator,
+            width: num_names.unwrap_or_else(|| separator.fields(row).count()),
+            num_numbers: leading_numbers(row, separator),
+            header,
+        })
+    }
+
     /// Whether neither a header nor the caller says where the coordinates are.
     fn is_guessed(&self) -> bool {
         self.header.is_none() && !self.is_chosen
@@ -344,6 +335,10 @@ fn parse(row: &str, separator: Separator, columns: &[usize], values: &mut [f64])
         width = column + 1;
     }
     (num_values == columns.len()).then_some(width)
+}
+
+fn has_three_numbers(row: &str) -> bool {
+    Separator::of(row, b";,|").fields(row).filter_map(number).nth(2).is_some()
 }
 
 /// The number of columns before the first one that is no number.

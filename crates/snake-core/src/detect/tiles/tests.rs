@@ -1,4 +1,4 @@
-//! What a detector of tiles takes. `snake-tiles` compares the keypoints of tiles with those of whole clouds.
+//! A detector of tiles refuses what it cannot take. `snake-tiles` compares the keypoints of tiles with those of whole clouds.
 
 use super::*;
 use crate::{Builtin, Model};
@@ -19,7 +19,7 @@ fn the_voxel_size_is_chosen_as_for_the_whole_cloud() {
     options.encode.voxel_size = None;
     let floor: Vec<Point> = (0..9600).map(|i| [(i % 320) as f32 * 0.05 - 5.0, (i / 320) as f32 * 0.05, 0.0]).collect();
     let mut detector = TileDetector::new(&model, &options).unwrap();
-    assert!(detector.needs_voxel_size());
+    assert!(detector.needs_voxel_size() && detector.place([[0.0; 3], [1.0; 3]], None).is_err());
     detector.choose_voxel_size(&floor).unwrap();
     assert!(!detector.needs_voxel_size());
     let whole = model.encode(&floor, &options.encode).unwrap();
@@ -49,7 +49,7 @@ fn options_that_need_the_whole_cloud_are_refused_by_name() {
     let compact = Model::builtin(Builtin::Compact);
     let error = TileDetector::new(&compact, &options()).unwrap_err().to_string();
     assert!(error.contains("scenes"), "{error}");
-    let detector = TileDetector::new(&scenes, &options()).unwrap();
+    let detector = TileDetector::new(&scenes, &options()).unwrap().place([[0.0; 3], [1.0; 3]], None).unwrap();
     assert!(detector.column(&[1e30, 0.0, 0.0]).unwrap_err().to_string().contains("voxel_size"));
 }
 
@@ -58,6 +58,7 @@ fn a_tile_that_is_too_large_names_what_fits() {
     let mut options = options();
     options.encode.voxel_size = Some(1e-3.into());
     let detector = TileDetector::new(&Model::builtin(Builtin::Scenes), &options).unwrap();
+    let detector = detector.place([[0.0; 3], [1.0; 3]], None).unwrap();
     let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
     let points: Vec<Point> = (0..200_000).map(|i| [at(i, 2_654_435_761), at(i, 40_503), at(i, 7919)]).collect();
     let error = detector.detect(&points, &[0..64, 0..64], 0, true, &Control::default()).unwrap_err().to_string();

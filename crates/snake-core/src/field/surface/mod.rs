@@ -147,8 +147,8 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// For each vertex the direction of the negative gradient, or of the adjacent triangles' normals where these oppose it: on the
-/// faces of the box, and where sides of the shell met.
+/// The normal of each vertex: the direction of the negative gradient, or of the adjacent triangles' normals where these oppose
+/// it, which are the faces of the box and where sides of the shell met.
 fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     let mut around = vec![[0.0; 3]; mesh.vertices.len()];
     for &triangle in &mesh.triangles {
