@@ -3,8 +3,8 @@
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
-The score counts, and how well the points determine the place: each halving of the standard deviation along each of three directions
-adds to the score.
+The score counts, and how well the points determine the place: each halving of the standard deviation along a direction adds to the
+score, but for the direction that is known best, as across a wall.
 Pairs are used as they are, thinned, and with noise. Half of the objects or of the pairs is for the fit, the other half for the
 expected calibration error that is printed; folders of `--test` are only for that. Detection is that of snake-rs with the options
 that the file recommends. A keypoint is found again if one of the other view lies within 4 % of the radius of an object, or two

@@ -16,7 +16,7 @@ fn options() -> Options {
     let mut options = *Model::builtin(Builtin::Scenes).recommended();
     options.encode.voxel_size = Some(0.4.into());
     options.detect = options.detect.with_saliency_threshold(0.01).with_nms_radius(Some(0.5.into()));
-    options.detect.max_keypoints = 100_000;
+    (options.detect.max_keypoints, options.detect.min_confidence) = (100_000, Some(0.1));
     options
 }
 

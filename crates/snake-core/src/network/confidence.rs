@@ -17,7 +17,8 @@ const DEVIATIONS: [f32; 2] = [0.06, 0.6];
 pub(crate) struct ConfidenceMap {
     /// Evidence and probability, by rising evidence.
     knots: Vec<[f32; 2]>,
-    /// What each halving of the standard deviation along a direction adds to the score.
+    /// What each halving of the standard deviation along a direction adds to the score, but for the direction that is known best,
+    /// as across a wall.
     precision: f32,
 }
 
@@ -61,8 +62,9 @@ impl ConfidenceMap {
     /// or the last knot beyond them.
     pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> f32 {
         let [low, high] = DEVIATIONS;
-        let halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());
-        let evidence = score + self.precision * halvings.iter().sum::<f32>();
+        let mut halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());
+        halvings.sort_by(f32::total_cmp);
+        let evidence = score + self.precision * (halvings[0] + halvings[1]);
         let next = self.knots.partition_point(|knot| knot[0] <= evidence);
         match (next.checked_sub(1).map(|last| self.knots[last]), self.knots.get(next)) {
             (Some([low, from]), Some([high, to])) => from + (to - from) * ((evidence - low) / (high - low)),
@@ -109,7 +111,7 @@ mod tests {
     fn each_halving_of_the_deviation_counts_like_so_much_score() {
         let model = model(Some(r#"{"knots": [[0.0, 0.0], [2.0, 1.0]], "precision": 0.5}"#)).unwrap();
         let map = model.network().confidence.as_ref().unwrap();
-        let of = |deviation: f32| [deviation, f32::INFINITY, 9.0];
+        let of = |deviation: f32| [deviation, f32::INFINITY, 0.1 * deviation];
         for (score, deviation, evidence) in [(0.5, 0.6, 0.5), (0.5, 0.3, 1.0), (0.5, 0.15, 1.5), (0.25, 9.0, 0.25)] {
             assert!((map.at(score, of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
         }

@@ -120,7 +120,7 @@ impl<'a> Patches<'a> {
     fn fitted(&self, at: &Point, in_cell: f64) -> Option<Patch> {
         let mut searches = self.points.iter();
         let mut near = Vec::new();
-        let (mut sums, mut best) = (Sums::default(), None::<(f64, Sums)>);
+        let (mut sums, mut best) = (Sums::default(), None::<Patch>);
         for size in SIZES {
             while near.len() < size
                 && let Some(cells) = searches.next()
@@ -133,16 +133,14 @@ impl<'a> Patches<'a> {
             put_nearest_first(rest, number);
             rest[..number].sort_unstable_by(by_distance);
             rest[..number].iter().for_each(|&(_, index)| sums.add(&self.offset(at, index)));
-            let steadiness = sums.tilt_and_flatness();
-            if let Some((tilt, _)) = steadiness.filter(|(tilt, _)| best.is_none_or(|(least, _)| *tilt <= least)) {
-                best = Some((tilt, sums));
-            }
-            let is_enough = |(tilt, flatness)| tilt < ENOUGH && flatness < MAX_FLATNESS;
-            if steadiness.is_some_and(is_enough) || size > sums.count {
+            let patch = sums.plane(in_cell);
+            best = patch.filter(|patch| best.is_none_or(|best| patch.tilt <= best.tilt)).or(best);
+            let is_enough = |patch: Patch| patch.tilt < ENOUGH && patch.flatness < MAX_FLATNESS;
+            if patch.is_some_and(is_enough) || size > sums.count {
                 break;
             }
         }
-        best.map(|(_, sums)| sums.plane(in_cell))
+        best
     }
 
     /// The squared distances of points near a place, and their indices.
@@ -174,7 +172,7 @@ fn put_nearest_first(near: &mut [(f32, u32)], number: usize) {
 }
 
 /// Sums over points, relative to the anchor.
-#[derive(Clone, Copy, Default)]
+#[derive(Default)]
 struct Sums {
     count: usize,
     offsets: Vector,
@@ -188,53 +186,14 @@ impl Sums {
         self.products += offset * offset.transpose();
     }
 
-    fn mean_and_covariance(&self) -> (Vector, Matrix3<f64>) {
+    /// The plane of least squares, at an anchor with so many points in its cell; `None` for few points, and for points on a line.
+    fn plane(&self, in_cell: f64) -> Option<Patch> {
         let count = self.count as f64;
         let mean = self.offsets / count;
-        (mean, self.products / count - mean * mean.transpose())
-    }
-
-    /// Of the plane of least squares; `None` for few points, and for points on a line.
-    fn tilt_and_flatness(&self) -> Option<(f64, f64)> {
-        let [across, width, length] = eigenvalues(&self.mean_and_covariance().1);
-        let flatness = across.max(0.0) / width;
+        let ([across, width, length], normal) = eigen(self.products / count - mean * mean.transpose());
         let is_plane = self.count >= MIN_POINTS && width > MIN_WIDTH * length;
-        is_plane.then(|| ((flatness / self.count as f64).sqrt(), flatness))
-    }
-
-    /// The plane of least squares, at an anchor with so many points in its cell.
-    fn plane(&self, in_cell: f64) -> Patch {
-        let (mean, covariance) = self.mean_and_covariance();
-        let ([across, width, _], normal) = eigen(covariance);
-        let (count, flatness) = (self.count as f64, across.max(0.0) / width);
-        Patch { mean, normal, tilt: (flatness / count).sqrt(), flatness, own: (in_cell / count).min(1.0) }
-    }
-}
-
-/// The eigenvalues of a symmetric matrix, ascending (Smith 1961, "Eigenvalues of a symmetric 3 × 3 matrix").
-fn eigenvalues(matrix: &Matrix3<f64>) -> [f64; 3] {
-    let mean = matrix.trace() / 3.0;
-    let deviator = matrix - Matrix3::identity() * mean;
-    let scale = (deviator.norm_squared() / 6.0).sqrt();
-    if scale == 0.0 {
-        return [mean; 3];
-    }
-    let angle = (0.5 * (deviator / scale).determinant()).clamp(-1.0, 1.0).acos() / 3.0;
-    let (largest, least) =
-        (mean + 2.0 * scale * angle.cos(), mean + 2.0 * scale * (angle + 2.0 / 3.0 * std::f64::consts::PI).cos());
-    [least, 3.0 * mean - largest - least, largest]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn eigenvalues_are_those_of_the_iteration() {
-        for offsets in [[[1.0, 0.2, 0.0], [0.3, 2.0, 0.0]], [[1e-3, 0.0, 5.0], [4.0, 1.0, 1e-4]], [[0.0; 3]; 2]] {
-            let matrix: Matrix3<f64> = offsets.map(Vector::from).iter().map(|v| v * v.transpose()).sum();
-            let (plain, closed) = (eigen(matrix).0, eigenvalues(&matrix));
-            assert!((0..3).all(|i| (plain[i] - closed[i]).abs() < 1e-14 * (1.0 + plain[2])), "{plain:?} {closed:?}");
-        }
+        let flatness = across.max(0.0) / width;
+        let tilt = (flatness / count).sqrt();
+        is_plane.then(|| Patch { mean, normal, tilt, flatness, own: (in_cell / count).min(1.0) })
     }
 }

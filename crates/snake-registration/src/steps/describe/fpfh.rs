@@ -181,6 +181,49 @@ mod tests {
         (points, normals, features)
     }
 
+    /// The textbook FPFH of Rusu et al. 2009, in `f64`.
+    fn plain(points: &[Point], normals: &[Point], radius: f64) -> Vec<f64> {
+        let [points, normals]: [Vec<Vector>; 2] =
+            [points, normals].map(|rows| rows.iter().map(|&row| vector(row)).collect());
+        let near = |i: usize| {
+            let points = &points;
+            (0..points.len()).filter(move |&j| j != i && (points[j] - points[i]).norm() <= radius)
+        };
+        // The frame of a pair is at the point whose normal has the smaller angle to the line between them.
+        let angles = |i: usize, j: usize| {
+            let offset = points[j] - points[i];
+            let cosines = [normals[i], normals[j]].map(|normal| normal.dot(&offset) / offset.norm());
+            let is_turned = cosines[0].abs().acos() > cosines[1].abs().acos();
+            let (i, j, offset, phi) = if is_turned { (j, i, -offset, -cosines[1]) } else { (i, j, offset, cosines[0]) };
+            // Angles are 0 where they are undefined.
+            let Some(v) = offset.cross(&normals[i]).try_normalize(0.0) else { return [0.5; 3] };
+            let theta = normals[i].cross(&v).dot(&normals[j]).atan2(normals[i].dot(&normals[j]));
+            [(theta / std::f64::consts::PI + 1.0) / 2.0, (v.dot(&normals[j]) + 1.0) / 2.0, (phi + 1.0) / 2.0]
+        };
+        let simplified = |i: usize| {
+            let mut histograms = [0.0; FPFH_DIMENSION];
+            for j in near(i) {
+                for (histogram, unit) in angles(i, j).into_iter().enumerate() {
+                    let bin = ((11.0 * unit) as usize).min(10);
+                    histograms[histogram * 11 + bin] += 100.0 / near(i).count() as f64;
+                }
+            }
+            histograms
+        };
+        let simplified: Vec<[f64; FPFH_DIMENSION]> = (0..points.len()).map(simplified).collect();
+        let weighted = |i: usize| {
+            let mut around = [0.0; FPFH_DIMENSION];
+            for j in near(i).filter(|&j| points[j] != points[i]) {
+                let weight = (points[j] - points[i]).norm_squared().recip();
+                (0..FPFH_DIMENSION).for_each(|bin| around[bin] += weight * simplified[j][bin]);
+            }
+            let sums: Vec<f64> =
+                around.chunks(11).map(|bins| bins.iter().sum::<f64>().max(f64::MIN_POSITIVE)).collect();
+            std::array::from_fn::<_, FPFH_DIMENSION, _>(|bin| simplified[i][bin] + 100.0 * around[bin] / sums[bin / 11])
+        };
+        (0..points.len()).flat_map(weighted).collect()
+    }
+
     #[test]
     fn normals_and_descriptors_are_those_of_open3d() {
         let (points, normals, features) = open3d_case();
@@ -188,6 +231,8 @@ mod tests {
         let ours = estimate_normals(&points, 0.5).unwrap();
         assert!(ours.as_flattened().iter().zip(normals.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-5));
         let ours = fpfh(&points, &normals, 0.8).unwrap();
+        let plain = plain(&points, &normals, 0.8);
+        assert!(plain.iter().zip(&features).all(|(a, b)| (a - f64::from(*b)).abs() < 1e-3));
         // A pair near the edge of a bin may change bins by rounding: in `f32` 9 of these numbers differ.
         let close = ours.iter().zip(&features).filter(|(a, b)| (**a - **b).abs() < 1.0).count();
         assert!(close as f64 > 0.995 * features.len() as f64, "{close} of {}", features.len());
