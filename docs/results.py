@@ -66,7 +66,7 @@ def landmarks_tables(folder: str) -> dict[str, str]:
 
 def bodies_tables(folder: Path, limit: str) -> dict[str, str]:
     """The table on bodies; a set of bent objects is there if they were made of a corpus."""
-    methods = *OURS, CORNERS[0], *CLASSICAL, *([str(PAPER_MODEL)] if PAPER_MODEL.exists() else [])
+    methods = *OURS, *CORNERS[:1], *CLASSICAL, *([str(PAPER_MODEL)] if PAPER_MODEL.exists() else [])
     tables, columns = [], {}
     for name, metrics in {
         "annotated": ("mIoU, strict", "found"),
