@@ -88,8 +88,8 @@ check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stub
 	cargo clippy --release --workspace --all-targets
 	cargo test --release -p snake-interop
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
-	$(VENV)/bin/ruff check training python tests docs samples
-	$(VENV)/bin/ruff format --check training python tests docs samples
+	$(VENV)/bin/ruff check training python tests docs tools
+	$(VENV)/bin/ruff format --check training python tests docs tools
 	$(PYTHON) -m mypy --strict python/snake_rs
 	$(VENV)/bin/pyright --pythonpath $(PYTHON) python/snake_rs
 	$(PYTHON) python/third_party_licenses.py --check

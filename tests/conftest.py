@@ -44,8 +44,8 @@ def keypoints(field):
 
 @pytest.fixture(scope="session")
 def generate():
-    """The script `samples/generate.py`, which casts rays at boxes."""
-    spec = importlib.util.spec_from_file_location("generate", Path(__file__).parents[1] / "samples" / "generate.py")
+    """The script `tools/samples.py`, which casts rays at boxes."""
+    spec = importlib.util.spec_from_file_location("samples", Path(__file__).parents[1] / "tools" / "samples.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     return script

@@ -20,9 +20,8 @@ MAX_LINES = {
     "examples": 500,
     "fuzz": 79,
     "python": 4528,
-    "samples": 96,
-    "tests": 5058,
-    "tools": 267,
+    "tests": 5057,
+    "tools": 363,
     "training": 13075,
 }
 

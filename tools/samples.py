@@ -1,4 +1,4 @@
-"""Writes the made clouds of this folder: python samples/generate.py. Needs the package of training/.
+"""Writes the made clouds of `samples/`: python tools/samples.py. Needs the package of training/.
 
 `room/1.ply` to `room/3.ply` are scans of one furnished room from three positions, each in the frame of its scanner. `sweep.ply` is a
 turn of a LiDAR with 32 beams in a street. All are cast from boxes, with noise, from fixed seeds; in metres. `plane.ply` is of
@@ -11,7 +11,7 @@ import numpy as np
 
 from snake_training.data.solids import CUBE, ROOM, Solids, about_axis, directions, scan
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).parents[1] / "samples"
 SEED = 24
 
 
