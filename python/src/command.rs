@@ -5,7 +5,7 @@ use std::io::Write;
 
 use pyo3::prelude::*;
 
-/// Runs `snake-cli` with these words, of which the first is its name, and returns its exit code.
+/// Runs `snake-cli` with these words, the first of which is its name, and returns its exit code.
 #[pyfunction]
 pub fn run_command(py: Python<'_>, words: Vec<OsString>) -> u8 {
     py.detach(|| {

@@ -171,7 +171,7 @@ def table_4():
 
 
 def table_5(option, figures, words):
-    """Table 5a or 5b: a network for each value of a setting, of which one is the preset's own."""
+    """Table 5a or 5b: a network for each value of a setting; one value is the preset's own."""
     for value, paper in figures.items():
         is_own = (option, value) in (("grid-fraction", 6), ("resolution", 64))
         network = MODELNET if is_own else ablation("modelnet40", f"{option}-{value}", words.format(value, value // 8))

@@ -70,7 +70,7 @@ pub(crate) fn guarded(body: impl FnOnce() -> Result<()>) -> SnakeStatus {
         Ok(Err(failure)) => failure,
         Err(panic) => Failure::from_panic(&*panic),
     };
-    // Of bounded length, without zeros, which would end it, and without characters that control a terminal.
+    // Its length is bounded, and it has no zeros, which would end it, and no characters that control a terminal.
     let text = CString::new(printable(&shortened(&failure.text)).as_bytes()).unwrap_or_default();
     // A thread that is ending has no text any more; the status remains.
     let _ = LAST_ERROR.try_with(|last| last.replace(text));

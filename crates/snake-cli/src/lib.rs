@@ -37,7 +37,7 @@ const SUCCESS: u8 = 0;
 const FAILURE: u8 = 1;
 const ERROR: u8 = 2;
 
-/// Runs the program with the words of a command line, of which the first is its name. Returns the exit code. Ctrl-C ends the
+/// Runs the program with the words of a command line; the first is its name. Returns the exit code. Ctrl-C ends the
 /// process, unless SIGINT has a handler already or is ignored.
 pub fn run(words: &[OsString]) -> u8 {
     let arguments = match parsed(words) {

@@ -14,7 +14,7 @@ options! {
         radius, with_radius: Length = Length::Resolutions(6.0);
         /// Responses below this are dropped; responses lie between 0 and 1/27.
         threshold, with_threshold: f64 = 0.0;
-        /// Keep only local maxima, of which a flat neighbourhood has none. If false, every point is a
+        /// Keep only local maxima; a flat neighbourhood has none. If false, every point is a
         /// keypoint, as in the wrapper behind the paper's tables.
         non_max, with_non_max: bool = true;
     }

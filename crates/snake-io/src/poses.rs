@@ -41,7 +41,7 @@ struct WrittenPose {
 
 /// Reads the poses of clouds.
 ///
-/// A `json` file holds what `snake-cli align` writes, of which the poses of the largest part count. A `txt` or `tum`
+/// A `json` file holds what `snake-cli align` writes; the poses of its largest part count. A `txt` or `tum`
 /// file holds a pose a line: `time x y z qx qy qz qw` (TUM), or the three rows of `[R t]` (KITTI).
 ///
 /// # Errors

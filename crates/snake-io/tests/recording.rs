@@ -119,7 +119,7 @@ fn damaged_files_give_an_error_or_whole_clouds() {
         std::fs::write(&path, &whole[..length]).unwrap();
         assert!(read(&path, None).is_err(), "{length}");
     }
-    // Of the lengths of all records the largest number would overflow.
+    // The largest number overflows as the length of any record.
     for (length, place) in (0..whole.len() - 8).flat_map(|place| [(1, place), (8, place)]) {
         let mut bytes = whole.clone();
         bytes[place..place + length].iter_mut().for_each(|byte| *byte = if length == 1 { !*byte } else { 0xff });

@@ -13,7 +13,7 @@
 //! judge       verdict, fit and matches of the best
 //! ```
 //!
-//! [`register()`] runs these [`steps`], of which each is a function that yours can replace;
+//! [`register()`] runs these [`steps`]; each is a function that yours can replace;
 //! [`align()`] finds the poses of many clouds, and [`kabsch`] fits a transform to own matches.
 //!
 //! Folders: `steps/` are the steps and their tables of constants; `cloud/` is what they compute

@@ -389,7 +389,7 @@ fn sensors_are_found_in_the_coordinates_of_a_site_and_nothing_wrong_is_reliable(
         }
         let (angle, distance) = registration.t_target_source.angle_and_distance_to(&RigidTransform::identity());
         assert!((angle < 0.03 && distance < 0.1) || !registration.verdict.is_reliable, "{registration:?}");
-        // Of both scans as one cloud no sensor is known.
+        // No sensor is known for both scans as one cloud.
         let merged: Vec<Point> = [source.clone(), target].concat();
         assert_eq!(run(&source, &merged).unwrap().clouds[1].position, None);
     }

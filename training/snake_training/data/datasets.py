@@ -211,7 +211,7 @@ def near_zero(points):
 
 
 def open_shapes(folder, split=""):
-    """A corpus, shards or a body model if the folder holds them, else a folder of clouds, of which a list may name some."""
+    """A corpus, shards or a body model if the folder holds them, else a folder of clouds; a list may name some of them."""
     folder = Path(folder)
     bodies = [path for path in (folder / "model.npz", folder / "model.pkl") if path.exists()]
     if not split and (folder / "points.npy").exists():

@@ -12,7 +12,7 @@ FRAMES = "camera", "centred", "turned", "moved"
 
 
 def one_sided(surface, rng, frame=None):
-    """One image (N, 3) of an object, of which points `surface` (M, 3) in the unit ball are given, from 2 to 12 radii away.
+    """One image (N, 3) of an object from 2 to 12 radii away, given points `surface` (M, 3) in the unit ball.
 
     250 to 20 000 points, at times partly hidden, with noise of the depth, in any unit. In a frame of `FRAMES`, a random one by default:
     the camera's, about the mean, the camera's rotated, or about any other origin.

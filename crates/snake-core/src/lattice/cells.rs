@@ -1,4 +1,4 @@
-//! The starting queries of a scene: there is no grid over its box, of which the surface fills almost nothing.
+//! The starting queries of a scene: there is no grid over its box, because the surface fills almost nothing of it.
 
 use super::voxel_groups::VoxelGroups;
 use snake_geometry::Point;

@@ -26,9 +26,9 @@ pub(crate) struct ConfidenceMap {
 #[derive(Deserialize)]
 #[serde(untagged, deny_unknown_fields)]
 enum Map {
-    /// Of scores alone.
+    /// The score counts alone.
     Scores(Vec<[f32; 2]>),
-    /// Of scores and standard deviations.
+    /// The score and the standard deviations count.
     Evidence { knots: Vec<[f32; 2]>, precision: f32 },
 }
 
@@ -58,8 +58,8 @@ impl ConfidenceMap {
         if is_map { Ok(Some(map)) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability of a keypoint's score and standard deviations along three directions in a volume of this voxel size: linear between knots, that of the first
-    /// or the last knot beyond them.
+    /// The probability of a keypoint's score and standard deviations along three directions in a volume of this voxel size: linear
+    /// between knots, that of the first or the last knot beyond them.
     pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> f32 {
         let [low, high] = DEVIATIONS;
         let mut halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());

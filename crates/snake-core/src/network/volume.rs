@@ -14,7 +14,7 @@ pub struct Volume {
 }
 
 impl Volume {
-    /// The positions of the voxels; `None` for a scene, of which only blocks about the points are stored.
+    /// The positions of the voxels; `None` for a scene, which stores only blocks about the points.
     pub fn frame(&self) -> Option<VolumeFrame> {
         self.lattice.frame()
     }

@@ -93,7 +93,7 @@ options! {
             from 0 or more " (cloud units, or as in `3r` resolutions)";
         /// Least distance of keypoints: in cloud units, in multiples of the cloud's resolution, the mean distance between
         /// nearest points (`3r`), in per cent of the cloud's radius (`10%`), or in voxels (`4v`; in a scene at most a 32nd of the
-        /// diagonal of its box). Of those that are closer the best is kept.
+        /// diagonal of its box). The best of those that are closer is kept.
         #[serde(deserialize_with = "none_if_zero")]
         nms_radius, with_nms_radius: Option<Length> = Some(Length::Units(0.01)), none "no suppression",
             from 0 or more " (cloud units, or as in `3r` resolutions)", flag "LENGTH";

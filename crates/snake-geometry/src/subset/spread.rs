@@ -75,7 +75,7 @@ fn diagonal(points: &[Point]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Points of a square, of which the first half, the best, lie in its corner.
+    /// Points of a square. The first half, the best, lie in its corner.
     fn clustered() -> Vec<Point> {
         let at = |i: u32, factor: u32| (i * factor % 997) as f32 / 997.0;
         let corner = (1..=450).map(|i| [0.2 * at(i, 131), 0.2 * at(i, 577), 0.0]);

@@ -14,7 +14,7 @@ const ZSTD_END: &[u8] = &[1, 0, 0, 0, 0, 0, 0];
 /// Every decoder of zstd accepts windows of 8 MiB (RFC 8878), and larger ones where the file is large.
 const MIN_WINDOW: usize = 8 << 20;
 
-/// Calls `add` with the kind and the content of each record in the body of a chunk, of which the end may be missing. A record
+/// Calls `add` with the kind and the content of each record in the body of a chunk, whose end may be missing. A record
 /// of more than `max_bytes` is damaged.
 ///
 /// # Errors

@@ -20,7 +20,7 @@ pub(crate) enum Record<'a> {
     Channel { id: u16, schema_id: u16, topic: String, encoding: String },
     /// A message, with its time in nanoseconds.
     Message { channel_id: u16, log_time: u64, data: &'a [u8] },
-    /// Of another kind.
+    /// A record of another kind.
     Other,
 }
 

@@ -46,7 +46,7 @@ const FLATNESS: f64 = 0.1;
 const CORNERS: [f32; 2] = [0.005, 0.2];
 /// A direction is open if less than this share of the weights is along it.
 const OPEN: f64 = 0.005;
-/// Of a direction that planes know to this share of the radius, 0.2 voxels of a scene, the keypoint moves half the way: the field
+/// A keypoint moves half the way along a direction that planes know to this share of the radius, 0.2 voxels of a scene: the field
 /// finds its own place again about as well.
 const FIELD_DEVIATION: f64 = 0.04;
 /// The standard deviation of the field's place from the one that the planes mean, as a share of the radius.

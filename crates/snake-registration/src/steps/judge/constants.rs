@@ -17,7 +17,7 @@ pub(super) const TRIES: usize = 2;
 /// Width of the cells in which details repeat, the step from one shift to the next, and the distance to which places
 /// that contradict sensors at one place are thinned. Unit: inlier distances. Half and twice change no outcome.
 pub(super) const DETAIL: f64 = 0.25;
-/// Where the sensors are at one place, a motion that turns by less is a slide, of which no support is asked. Unit:
+/// Where the sensors are at one place, a motion that turns by less is a slide, which needs no support. Unit:
 /// degrees. Half and twice change no outcome.
 pub(super) const MAX_SLIDE_TURN: f64 = 12.0;
 /// Two normals are parallel if their cosine is above this. Set by hand.

@@ -27,15 +27,15 @@ const BIAS: f64 = -8.5;
 /// Weight of the logarithm of one more than the matches that agree, and the limit up to which it counts, so that no
 /// evidence outvotes the others. So it is with the rows that follow. Unit: log-odds; logarithm. Fitted on 785 pairs.
 const LOG_AGREEING: [f64; 2] = [1.88, 5.3];
-/// Of the logarithm of their ratio to those of the best rival. Unit: log-odds; logarithm. Fitted on 785 pairs.
+/// The weight of the logarithm of their ratio to those of the best rival. Unit: log-odds; logarithm. Fitted on 785 pairs.
 const LOG_RATIO: [f64; 2] = [0.43, 1.5];
-/// Of the slide margin. Unit: log-odds per overlap; overlap. Fitted on 785 pairs.
+/// The weight of the slide margin. Unit: log-odds per overlap; overlap. Fitted on 785 pairs.
 const SLIDE_MARGIN: [f64; 2] = [22.5, 0.1];
-/// Of the spread of the matches that agree. Unit: log-odds per inlier distance; inlier distances. Fitted on 785 pairs.
+/// The weight of the spread of the matches that agree. Unit: log-odds per inlier distance; inlier distances. Fitted on 785 pairs.
 const MATCH_SPREAD: [f64; 2] = [3.0, 1.0];
-/// Of the violated free space. Unit: log-odds per share of the voxels; share. Fitted on 785 pairs.
+/// The weight of the violated free space. Unit: log-odds per share of the voxels; share. Fitted on 785 pairs.
 const VIOLATION: [f64; 2] = [-302.0, 1.0];
-/// Of the lead over the next transform, where single matches were compared. Unit: log-odds per overlap; overlap. Set by
+/// The weight of the lead over the next transform, where single matches were compared. Unit: log-odds per overlap; overlap. Set by
 /// hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones.
 const LEAD: [f64; 2] = [10.0, 0.25];
 

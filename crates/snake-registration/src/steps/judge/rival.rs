@@ -12,12 +12,12 @@ const MAX_CONTRADICTED: f64 = 0.08;
 /// With sensors at one place, where one pattern of rays coincides point by point: traffic has up to 0.25, rooms at rest 0.33
 /// and more.
 const STANDING_CONTRADICTED: f64 = 0.28;
-/// Of all places, after a shift there or one with which details fit better: pillars have up to 0.38.
+/// The limit for all places, after a shift there or one with which details fit better: pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
 /// A mirror image fits better if it leads by this. Unit: share of the places that the winner explains. Mirrored boxes
 /// have 0.1 and more.
 const MIRROR_LEAD: f64 = 0.06;
-/// Of two transforms one explains more places, and absence contradicts the other, by so many standard deviations. Half turns of
+/// One transform explains more places than another, and absence contradicts the other, by so many standard deviations. Half turns of
 /// rooms that are the answer have -5 to 2 beside the truth, the other way round 4 and more.
 const MIN_DEVIATIONS: f64 = 3.0;
 

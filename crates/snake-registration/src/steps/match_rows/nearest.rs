@@ -98,7 +98,7 @@ impl Lanes {
     }
 }
 
-/// The greater of two numbers, of which none is NaN: one instruction, other than `f32::max`.
+/// The greater of two numbers that are not NaN: one instruction, other than `f32::max`.
 #[inline]
 fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
