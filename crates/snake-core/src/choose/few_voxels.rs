@@ -38,8 +38,8 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
         return None;
     }
     let cell = |point: &Point| point.map(|v| (f64::from(v) / voxel).round() as i64);
-    let number = points.iter().map(cell).collect::<BTreeSet<_>>().len();
-    if number > MAX_VOXELS {
+    let mut cells = BTreeSet::new();
+    if points.iter().any(|point| cells.insert(cell(point)) && cells.len() > MAX_VOXELS) {
         return None;
     }
     let centers: Vec<Point> = drawn(&points, CENTERS).collect();
@@ -59,7 +59,7 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
         // The diameter of a tube whose surface has the points.
         (8.0 * variances[1].max(0.0)).sqrt()
     });
-    (thickness > SPACINGS * spacing).then_some((number, voxel))
+    (thickness > SPACINGS * spacing).then_some((cells.len(), voxel))
 }
 
 /// A length with three digits.

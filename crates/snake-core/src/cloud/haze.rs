@@ -1,7 +1,7 @@
 //! Haze: points in the air about a scene, as splats and dense reconstructions from photographs have them.
 
 use super::samples::{drawn, quantile};
-use snake_geometry::Point;
+use snake_geometry::{Point, PointTree};
 
 /// Number of points that are measured.
 const MEASURED: usize = 512;
@@ -31,11 +31,8 @@ pub(super) fn haze(points: &[Point]) -> Option<f64> {
 
 /// The distance from each point to the nearest other one.
 fn spacings(points: &[Point]) -> Vec<f64> {
-    let nearest = |(index, point): (usize, &Point)| {
-        let others = points.iter().enumerate().filter(|(other, _)| *other != index);
-        others.map(|(_, other)| squared(point, other)).fold(f64::INFINITY, f64::min).sqrt()
-    };
-    points.iter().enumerate().map(nearest).collect()
+    let squared = PointTree::new(points).map(|tree| tree.nearest_others());
+    squared.unwrap_or_default().into_iter().map(f64::sqrt).collect()
 }
 
 /// The number of pairs of points that are closer than a distance.

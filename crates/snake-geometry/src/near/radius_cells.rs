@@ -1,5 +1,7 @@
 //! Points in cells as wide as a radius, for queries within it.
 
+use std::ops::RangeInclusive;
+
 use rayon::prelude::*;
 
 use crate::{Error, Point, Result};
@@ -13,7 +15,8 @@ const LAST: u64 = (1 << BITS) - 1;
 /// Distances in `f32` are rounded: a point within the radius is at most this many radii away.
 const MARGIN: f64 = 1.0 + 1e-6;
 
-/// Points sorted into cells that are as wide as a radius: a query looks at 27 cells at most.
+/// Points sorted into cells that are as wide as a radius: a query within it looks at 27 cells at most, one within another radius at
+/// more or larger cells than it needs.
 ///
 /// Where the queries themselves are at least a share of the radius apart, as in suppression, each point is looked at a
 /// bounded number of times, for every arrangement of points but those that make numbers of cells coincide.
@@ -31,7 +34,7 @@ pub struct RadiusCells<'a> {
 const FREE: u32 = u32::MAX;
 
 impl<'a> RadiusCells<'a> {
-    /// Sorts finite points for queries within at most `radius`, which is positive.
+    /// Sorts finite points for queries within about `radius`, which is positive.
     ///
     /// # Errors
     /// [`Error::Input`] for more points than [`u32::MAX`].
@@ -59,17 +62,17 @@ impl<'a> RadiusCells<'a> {
         self.points
     }
 
-    /// The largest radius of a query.
+    /// The radius that the cells are as wide as.
     pub fn radius(&self) -> f32 {
         self.radius
     }
 
     /// Calls `visit` with the index of each point at most `radius` from a position, in an order that depends on the points
-    /// alone. The radius is at most that of the cells.
+    /// alone.
     pub fn within(&self, position: &Point, radius: f32, mut visit: impl FnMut(usize)) {
         let [xs, ys, zs] = position.map(|value| self.reached(value, radius));
-        for [y, z] in zs.into_iter().flatten().flat_map(|z| ys.into_iter().flatten().map(move |y| [y, z])) {
-            for cell in xs.into_iter().flatten().map(|x| key([x, y, z])) {
+        for [y, z] in zs.flat_map(|z| ys.clone().map(move |y| [y, z])) {
+            for cell in xs.clone().map(|x| key([x, y, z].map(number))) {
                 let first = self.firsts[self.slot(cell)] as usize;
                 let members = self.members.get(first..).unwrap_or_default();
                 for &(_, index) in members.iter().take_while(|(other, _)| *other == cell) {
@@ -99,18 +102,11 @@ impl<'a> RadiusCells<'a> {
         position.map(|value| number(floor(f64::from(value) / self.side)))
     }
 
-    /// The numbers of the cells before, at and after a coordinate that a radius reaches. Far from zero, where cells are finer
-    /// than `f32`, equal coordinates have the same cell, and others are farther apart than the radius.
-    fn reached(&self, value: f32, radius: f32) -> [Option<u64>; 3] {
-        let reach = f64::from(radius) * MARGIN / self.side;
-        let place = f64::from(value) / self.side;
-        let middle = number(floor(place));
-        let cell = floor(place) as f64;
-        [
-            (place - cell <= reach).then_some(middle.wrapping_sub(1) & LAST),
-            Some(middle),
-            (cell + 1.0 - place <= reach).then_some((middle + 1) & LAST),
-        ]
+    /// The cells that a radius about a coordinate reaches. Far from zero, where cells are finer than `f32`, equal coordinates have the
+    /// same cell, and others are farther apart than the radius.
+    fn reached(&self, value: f32, radius: f32) -> RangeInclusive<i64> {
+        let [place, reach] = [f64::from(value), f64::from(radius) * MARGIN].map(|length| length / self.side);
+        floor(place - reach)..=floor(place + reach)
     }
 }
 
@@ -153,7 +149,7 @@ mod tests {
             for radius in [1e-30, 0.1, 0.3, 5.0, 1e19] {
                 let cells = RadiusCells::new(&points, radius).unwrap();
                 for query in points.iter().chain(&[[0.5; 3], [-9.0, 0.0, 0.0], [3e38, 0.0, -3e38]]) {
-                    for radius in [radius, 0.85 * radius, 0.5 * radius] {
+                    for radius in [2.3 * radius.min(1e18), radius, 0.85 * radius, 0.5 * radius] {
                         let mut inside = Vec::new();
                         cells.within(query, radius, |index| inside.push(index));
                         inside.sort_unstable();
