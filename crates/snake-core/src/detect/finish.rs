@@ -33,8 +33,11 @@ pub(super) fn finish(
     };
     let places = match &patches {
         Some(patches) if moves_to_planes => localize(patches, &positions),
-        _ => positions.into_iter().map(Place::unknown).collect(),
+        _ => positions.into_iter().map(Place::unknown).collect::<Vec<_>>(),
     };
+    let drops_rows = moves_to_planes && options.min_confidence.is_some();
+    let stays = |(place, score): &(Place, f32)| !(drops_rows && place.is_one_of_many(*score, field.voxel_size()));
+    let (places, scores): (Vec<_>, Vec<_>) = places.into_iter().zip(scores).filter(stays).unzip();
     let ranks = match options.prefer {
         Preference::Corners => corners::ranks(field, &places, &scores)?,
         Preference::Salient if moves_to_surface => surface_ranks,

@@ -1,9 +1,9 @@
 //! Where exactly: the point nearest to the tangent planes of the points around a keypoint (Förstner and Gülch 1987).
 //!
 //! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
-//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` falls with the distance from
-//! the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot pull (Geman and McClure
-//! 1985).
+//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` rises with the number of points, and
+//! falls with the distance from the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot
+//! pull (Geman and McClure 1985).
 //!
 //! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of that place. Along each of its axes the
 //! keypoint moves as far as the planes are to be trusted beside the field, and not at all where they leave a direction open. What the
@@ -19,7 +19,7 @@ use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 pub(crate) use self::patches::Patches;
-use self::patches::{Anchors, first_of_cells};
+use self::patches::{Anchors, Sums, first_of_cells};
 use crate::Result;
 use crate::field::Field;
 use snake_geometry::{Covariance, Point, Vector, resolution, vector};
@@ -27,13 +27,13 @@ use snake_geometry::{Covariance, Point, Vector, resolution, vector};
 /// The radius in voxels: of a scene, whose voxels are about as wide as the distance of its points, and of an object.
 const RADIUS: [f32; 2] = [5.0, 2.2];
 /// Where fewer than this many patches are near, the radius grows, ...
-const FEW_PATCHES: f32 = 80.0;
+const FEW_PATCHES: f32 = 51.0;
 /// ... up to this many times.
 const MAX_GROWTH: f32 = 1.6;
-/// Where a voxel of a scene has fewer points than this, as in a thinned sweep, they know nothing finer than the field.
-const MIN_DENSITY: f64 = 1.2;
-/// Patches lie this share of the radius apart, a voxel of a scene, and have points within the second share.
-const PATCHES: [f32; 2] = [0.2, 0.5];
+/// Where a cell of patches of a scene has fewer points than this, as in a thinned sweep, they know nothing finer than the field.
+const MIN_DENSITY: f64 = 1.9;
+/// Cells of patches are as wide as this share of the radius, and patches have points within the second share.
+const PATCHES: [f32; 2] = [0.25, 0.5];
 /// The weight that holds a keypoint, as a share of all weights.
 const HOLD: f64 = 0.02;
 /// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
@@ -51,6 +51,12 @@ const OPEN: f64 = 0.005;
 const FIELD_DEVIATION: f64 = 0.04;
 /// The standard deviation of the field's place from the one that the planes mean, as a share of the radius.
 const FIELD_BIAS: f64 = 0.3;
+/// An edge is known to this many voxels across, and not to that many along.
+const EDGE: [f32; 2] = [0.3, 0.6];
+/// Straight edges have a lower saliency than this, also near their ends.
+const STRAIGHT: f32 = 0.4;
+/// The ratio of the variances across and along the points within the radius below which they are a wall: at an edge it is 0.25.
+const WALL: f32 = 0.19;
 /// Points of an object that are asked, at most.
 const MANY: usize = 8_192;
 /// Points are dense if nearest ones are closer than this many voxels, on average.
@@ -72,6 +78,8 @@ pub(crate) struct Place {
     /// The share of the weights along the direction that is known least: a third at the corner of a cube, about 0 where a
     /// direction is open.
     pub(crate) corner: f32,
+    /// The ratio of the variances of the points within the radius, across and along them.
+    pub(crate) flatness: f32,
 }
 
 impl Place {
@@ -82,9 +90,18 @@ impl Place {
         score * (self.corner.clamp(least, most) / least).sqrt()
     }
 
+    /// Whether the points leave open where it lies: on a wall, or on a straight edge without saliency that tells where along it.
+    /// Another view finds it again by chance, as one of those that stand in a row.
+    pub(crate) fn is_one_of_many(&self, score: f32, voxel_size: f32) -> bool {
+        let mut deviations = self.deviations.map(|deviation| deviation / voxel_size);
+        deviations.sort_by(f32::total_cmp);
+        let is_edge = deviations[1] < EDGE[0] && deviations[2] > EDGE[1];
+        self.flatness < WALL || is_edge && score < STRAIGHT
+    }
+
     /// A position of which nothing is known.
     pub(crate) fn unknown(position: Point) -> Self {
-        Self { position, covariance: Covariance::UNKNOWN, deviations: [f32::INFINITY; 3], corner: 0.0 }
+        Self { position, covariance: Covariance::UNKNOWN, deviations: [f32::INFINITY; 3], corner: 0.0, flatness: 1.0 }
     }
 }
 
@@ -142,25 +159,27 @@ pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
 }
 
 fn place(patches: &Patches, keypoint: Point) -> Place {
-    let (mut number, mut points) = (0_u32, 0_u32);
+    let (mut around, mut points) = (Sums::default(), 0);
     patches.anchors.within(&keypoint, patches.radius, |anchor| {
-        number += 1;
+        around.add(&(vector(patches.anchors.points()[anchor]) - vector(keypoint)));
         points += patches.counts[anchor];
     });
-    if f64::from(points) < patches.min_density * f64::from(number) {
-        return Place::unknown(keypoint);
+    let flatness = around.plane(0.0).map_or(1.0, |plane| plane.flatness as f32);
+    let unknown = Place { flatness, ..Place::unknown(keypoint) };
+    if f64::from(points) < patches.min_density * around.count as f64 {
+        return unknown;
     }
-    let radius = patches.radius * (FEW_PATCHES / number.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
+    let radius = patches.radius * (FEW_PATCHES / around.count.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
     let (mut at, mut last) = (keypoint, None);
     for tolerance in TOLERANCES {
         let planes = Planes::near(patches, &at, radius, tolerance * f64::from(radius));
         let is_near = |nearest: &Vector| (nearest - vector(keypoint)).norm() <= f64::from(radius);
-        let Some(nearest) = planes.nearest(&at).filter(is_near) else { return Place::unknown(keypoint) };
+        let Some(nearest) = planes.nearest(&at).filter(is_near) else { return unknown };
         at = nearest.map(|v| v as f32).into();
         last = Some((planes, nearest));
     }
     let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, f64::from(radius));
-    last.map_or(Place::unknown(keypoint), place)
+    Place { flatness, ..last.map_or(unknown, place) }
 }
 
 /// Weighted sums over the patches near a position, relative to it.
@@ -181,10 +200,11 @@ impl Planes {
         let radius_squared = f64::from(radius).powi(2);
         patches.anchors.within(at, radius, |anchor| {
             let Some(patch) = patches.at(anchor) else { return };
+            let count = f64::from(patches.counts[anchor]);
             let anchor = vector(patches.anchors.points()[anchor]) - vector(*at);
             let mean = anchor + patch.mean;
             let residual = patch.normal.dot(&mean);
-            let mut weight = (1.0 - anchor.norm_squared() / radius_squared).max(0.0);
+            let mut weight = count * (1.0 - anchor.norm_squared() / radius_squared).max(0.0);
             weight /= 1.0 + (patch.tilt / TILT).powi(2);
             weight /= ((1.0 + (patch.flatness / FLATNESS).powi(2)) * (1.0 + (residual / tolerance).powi(2))).powi(2);
             sums.weight += weight;
@@ -228,6 +248,7 @@ impl Planes {
             covariance: Covariance::along(&eigenvectors, variances),
             deviations: variances.map(|variance| variance.sqrt() as f32),
             corner: corner as f32,
+            flatness: 1.0,
         }
     }
 }

@@ -1,6 +1,5 @@
 //! Planar patches of a cloud, of as many points as make the normal certain.
 
-use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
@@ -79,8 +78,9 @@ pub(super) fn first_of_cells(points: &[Point], cell: impl Fn(Point) -> Point) ->
 
 /// The patches at some points of a cloud, each computed when it is first needed.
 pub(crate) struct Patches<'a> {
-    /// The points, for searches within rising radii.
-    points: Vec<RadiusCells<'a>>,
+    points: RadiusCells<'a>,
+    /// Rising radii of searches for points.
+    searches: Vec<f32>,
     /// The radius within which they determine a place.
     pub(super) radius: f32,
     pub(super) anchors: RadiusCells<'a>,
@@ -95,10 +95,11 @@ impl<'a> Patches<'a> {
         let [side, reach] = PATCHES.map(|share| share * radius);
         let in_cell = points.len() as f32 / anchors.points.len().max(1) as f32;
         let searches = SEARCHED.map(|number| side * (number / (std::f32::consts::PI * in_cell)).sqrt());
-        let radii = searches.into_iter().filter(|radius| *radius < reach).chain([reach]);
+        let searches: Vec<f32> = searches.into_iter().filter(|radius| *radius < reach).chain([reach]).collect();
         Ok(Self {
             radius,
-            points: radii.map(|radius| RadiusCells::new(points, radius)).collect::<Result<_>>()?,
+            points: RadiusCells::new(points, searches[0])?,
+            searches,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
             min_density: anchors.min_density,
@@ -108,7 +109,7 @@ impl<'a> Patches<'a> {
 
     /// The points.
     pub(crate) fn points(&self) -> &[Point] {
-        self.points[0].points()
+        self.points.points()
     }
 
     /// The patch at an anchor; `None` where too few points are near.
@@ -118,21 +119,21 @@ impl<'a> Patches<'a> {
     }
 
     fn fitted(&self, at: &Point, in_cell: f64) -> Option<Patch> {
-        let mut searches = self.points.iter();
+        let mut searches = self.searches.iter();
         let mut near = Vec::new();
         let (mut sums, mut best) = (Sums::default(), None::<Patch>);
         for size in SIZES {
             while near.len() < size
-                && let Some(cells) = searches.next()
+                && let Some(radius) = searches.next()
             {
-                near = self.near(cells, at);
+                near = self.near(at, *radius);
                 put_nearest_first(&mut near, sums.count);
             }
             let rest = &mut near[sums.count..];
             let number = (size - sums.count).min(rest.len());
             put_nearest_first(rest, number);
-            rest[..number].sort_unstable_by(by_distance);
-            rest[..number].iter().for_each(|&(_, index)| sums.add(&self.offset(at, index)));
+            rest[..number].sort_unstable();
+            rest[..number].iter().for_each(|&number| sums.add(&self.offset(at, number as u32)));
             let patch = sums.plane(in_cell);
             best = patch.filter(|patch| best.is_none_or(|best| patch.tilt <= best.tilt)).or(best);
             let is_enough = |patch: Patch| patch.tilt < ENOUGH && patch.flatness < MAX_FLATNESS;
@@ -143,13 +144,13 @@ impl<'a> Patches<'a> {
         best
     }
 
-    /// The squared distances of points near a place, and their indices.
-    fn near(&self, cells: &RadiusCells, at: &Point) -> Vec<(f32, u32)> {
+    /// The squared distances of the points within a radius, and their indices, as numbers that rise with the distance.
+    fn near(&self, at: &Point, radius: f32) -> Vec<u64> {
         let mut near = Vec::new();
-        cells.within(at, cells.radius(), |index| {
+        self.points.within(at, radius, |index| {
             let point = self.points()[index];
-            let squared = (0..3).map(|axis| (point[axis] - at[axis]).powi(2)).sum();
-            near.push((squared, index as u32));
+            let squared: f32 = (0..3).map(|axis| (point[axis] - at[axis]).powi(2)).sum();
+            near.push(u64::from(squared.to_bits()) << 32 | index as u64);
         });
         near
     }
@@ -159,35 +160,30 @@ impl<'a> Patches<'a> {
     }
 }
 
-/// The order of points by their distance.
-fn by_distance(a: &(f32, u32), b: &(f32, u32)) -> Ordering {
-    a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
-}
-
 /// Moves so many of the nearest points to the front.
-fn put_nearest_first(near: &mut [(f32, u32)], number: usize) {
+fn put_nearest_first(near: &mut [u64], number: usize) {
     if number < near.len() {
-        near.select_nth_unstable_by(number, by_distance);
+        near.select_nth_unstable(number);
     }
 }
 
 /// Sums over points, relative to the anchor.
 #[derive(Default)]
-struct Sums {
-    count: usize,
+pub(super) struct Sums {
+    pub(super) count: usize,
     offsets: Vector,
     products: Matrix3<f64>,
 }
 
 impl Sums {
-    fn add(&mut self, offset: &Vector) {
+    pub(super) fn add(&mut self, offset: &Vector) {
         self.count += 1;
         self.offsets += offset;
         self.products += offset * offset.transpose();
     }
 
     /// The plane of least squares, at an anchor with so many points in its cell; `None` for few points, and for points on a line.
-    fn plane(&self, in_cell: f64) -> Option<Patch> {
+    pub(super) fn plane(&self, in_cell: f64) -> Option<Patch> {
         let count = self.count as f64;
         let mean = self.offsets / count;
         let ([across, width, length], normal) = eigen(self.products / count - mean * mean.transpose());

@@ -74,13 +74,31 @@ fn an_edge_leaves_one_direction_open_and_a_plane_two() {
 }
 
 #[test]
+fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_are_not() {
+    let is_one_of_many =
+        |planes, sigma, start: Point, score| localized(&corner(planes, 0.01, sigma), start).is_one_of_many(score, 0.05);
+    for (planes, sigma, start, score, expected) in [
+        (1, 0.003, [0.5, 0.5, 0.03], 0.9, true),
+        (1, 0.03, [0.5, 0.5, 0.03], 0.9, true),
+        (2, 0.003, [0.03, 0.5, 0.04], 0.3, true),
+        (2, 0.003, [0.03, 0.5, 0.04], 0.9, false),
+        (3, 0.003, [0.03, 0.02, 0.04], 0.3, false),
+        (3, 0.03, [0.03, 0.02, 0.04], 0.3, false),
+    ] {
+        assert_eq!(is_one_of_many(planes, sigma, start, score), expected, "{planes} {sigma} {score}");
+    }
+}
+
+#[test]
 fn a_thin_plate_keeps_its_sides_apart() {
-    let side = corner(1, 0.02, 0.002);
-    let other: Vec<Point> = side.iter().map(|[x, y, z]| [*x, *y, z + 0.1]).collect();
-    let plate = [side, other].concat();
-    for height in [0.0, 0.1] {
-        let place = localized(&plate, [0.5, 0.5, height]);
-        assert!((place.position[2] - height).abs() < 0.02, "{place:?}");
+    // The border of cells lies at different heights in a plate.
+    for low in (0..20).map(|i| i as f32 * 0.006) {
+        let plate = corner(1, 0.02, 0.002).into_iter().flat_map(|[x, y, z]| [[x, y, z + low], [x, y, z + low + 0.1]]);
+        let plate: Vec<Point> = plate.collect();
+        for height in [low, low + 0.1] {
+            let place = localized(&plate, [0.5, 0.5, height]);
+            assert!((place.position[2] - height).abs() < 0.02, "{place:?}");
+        }
     }
 }
 
@@ -92,8 +110,8 @@ fn points_as_sparse_as_cells_determine_nothing() {
         let cells = first_of_cells(&points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
         let anchors = Anchors { min_density: MIN_DENSITY, ..cells };
         let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start]);
-        assert_eq!(places[0] != Place::unknown(start), is_known, "{spacing}");
-        assert_ne!(localized(&points, start), Place::unknown(start));
+        assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
+        assert_ne!(localized(&points, start).covariance, Covariance::UNKNOWN);
     }
 }
 

@@ -151,7 +151,11 @@ impl PlacedDetector {
                 let confidence = self.network.confidence(candidate.saliency, deviations, self.voxel_size);
                 Candidate { position, confidence, covariance, rank, ..candidate }
             };
-            candidates = modes.into_iter().zip(places).map(localized).collect();
+            let drops_rows = self.options.detect.min_confidence.is_some();
+            let stays = |(candidate, place): &(Candidate, Place)| {
+                !(drops_rows && place.is_one_of_many(candidate.saliency, self.voxel_size))
+            };
+            candidates = modes.into_iter().zip(places).filter(stays).map(localized).collect();
         }
         let positions: Vec<Point> = candidates.iter().map(|candidate| candidate.position).collect();
         for (candidate, occupancy) in candidates.iter_mut().zip(field.occupancy(&positions)?) {
