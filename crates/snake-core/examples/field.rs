@@ -1,6 +1,6 @@
-//! Encode a cloud once, and query its field many times: `cargo run --release --example field`.
+//! Encode a cloud once, query its field many times, and make its surface: `cargo run --release --example field`.
 
-use snake_core::{Builtin, Model, Point, Result};
+use snake_core::{Builtin, MeshOptions, Model, Point, Result};
 
 /// A cube of side 1, as points on its faces.
 fn cube() -> Vec<Point> {
@@ -36,5 +36,8 @@ fn main() -> Result<()> {
     let keypoints = field.detect(&options)?.keypoints;
     assert!(!keypoints.is_empty());
     println!("{} keypoints at least 0.2 apart", keypoints.len());
+
+    let mesh = field.mesh(&MeshOptions::default())?;
+    println!("{} vertices, {} triangles, area {:.2}", mesh.vertices.len(), mesh.triangles.len(), mesh.area());
     Ok(())
 }
