@@ -1,7 +1,7 @@
 """Writes the made clouds of `samples/`: python tools/samples.py. Needs the package of training/.
 
 `room/1.ply` to `room/3.ply` are scans of one furnished room from three positions, each in the frame of its scanner. `sweep.ply` is a
-turn of a LiDAR with 32 beams in a street. All are cast from boxes, with noise, from fixed seeds; in metres. `plane.ply` is of
+turn of a LiDAR with 48 beams in a street. All are cast from boxes, with noise, from fixed seeds; in metres. `plane.ply` is of
 another origin (see models/DATA.md).
 """
 
@@ -88,7 +88,7 @@ def main():
         [([0.9, 1.6, 1.6], 0), ([1.5, 2.4, 1.7], 50), ([2.3, 2.6, 1.6], 160)], 1
     ):
         write_ply(FOLDER / f"room/{number}.ply", scanned(room, origin, degrees, rays, 20, 0.003, rng))
-    sweep = scanned(street(rng), [0, 0, 1.8], 0, turn(np.linspace(-24, 7, 32), 216), 70, 0.01, rng)
+    sweep = scanned(street(rng), [0, 0, 1.8], 0, turn(np.linspace(-24, 7, 48), 320), 70, 0.01, rng)
     write_ply(FOLDER / "sweep.ply", sweep)
 
 
