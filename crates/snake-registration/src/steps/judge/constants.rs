@@ -25,8 +25,8 @@ pub(super) const REPEAT_PARALLEL: f64 = 0.98;
 /// Another try changes no verdict if a rival explains more than this of what the answer explains. Unit: share of the
 /// places. Set by hand.
 pub(crate) const REPEATED: f64 = 0.45;
-/// A rival moves the source by more than this. Unit: inlier distances. Details of real rooms repeat after 1.4 and 2.1.
-pub(super) const MIN_SHIFT: f64 = 2.25;
+/// A rival moves the source by more than this. Unit: inlier distances. Details of real rooms repeat after 1.4, 2.1 and 2.6.
+pub(super) const MIN_SHIFT: f64 = 2.6;
 /// Fewer matches that agree are never enough, however well the surfaces fit. Half and twice change no outcome.
 pub(super) const MIN_AGREEING: usize = 10;
 /// Greatest confidence of a transform that is ambiguous, has few matches or leaves the surfaces apart. Unit:
