@@ -1,7 +1,7 @@
 """Makes every picture of the pages: `make pictures DATA=FOLDER`, or `python docs/pictures.py [NAME..] [--data FOLDER]`.
 
-FOLDER holds objects/val, a corpus folder, and scenes/val and scenes/train, folders of fragments (N, 3) with `pairs.json`; pictures of
-them stay as they are without it. The curves are made by `make results`. Needs snake-cli, snake_rs, Pillow and, for the page, Chromium.
+FOLDER holds objects/val, a corpus folder, and scenes/val, a folder of fragments (N, 3); pictures of them stay as they
+are without it. The curves are made by `make results`. Needs snake-cli, snake_rs, Pillow and, for the page, Chromium.
 
 Clouds have the colour of the saliency at their points, from violet (0) to yellow (0.7). Keypoints are those of the default options: the
 larger, the higher their confidence. Of a pair the target is grey and the source red.
@@ -74,11 +74,11 @@ def drawn(seen, colours, title, width, size=1, marks=(), radii=()):
     return image
 
 
-def keypoints(named, ups="z", columns=4, view=(35, 25), radius=np.inf, model=None):
+def keypoints(named, ups="z", columns=4, view=(35, 25), radius=np.inf, model=None, **options):
     """Panels of clouds, by name, with their keypoints; `radius`: only what is so near to the median point."""
     width = WIDTH // columns
     for (name, points), up in zip(named.items(), itertools.cycle(ups.split())):
-        found = snake_rs.detect(points, model)
+        found = snake_rs.detect(points, model, **options)
         field = snake_rs.Model.builtin(found.model.split(",")[0]).encode(points)
         turn, middle = rotation(*view) @ UPRIGHT[up], np.median(points, axis=0)
         points = points[np.linalg.norm(points - middle, axis=1) < radius]
@@ -91,12 +91,9 @@ def keypoints(named, ups="z", columns=4, view=(35, 25), radius=np.inf, model=Non
         yield drawn((points @ turn.T)[:, :2], colours, f"{name}: {len(found)}", width, 2, marks, radii)
 
 
-def answer(source, target, map_voxel=None):
-    """The source on the target by `register`, or by a `PreparedMap` of a voxel size; from above."""
-    if map_voxel:
-        result = snake_rs.PreparedMap(target, voxel_size=map_voxel).register(source)
-    else:
-        result = snake_rs.register(source, target)
+def answer(source, target):
+    """The source on the target by `register`, from above."""
+    result = snake_rs.register(source, target)
     colours = np.repeat([GREY, RED], [len(target), len(source)], axis=0)
     t = result.t_target_source
     both = np.concatenate([target, source @ t[:3, :3].T + t[:3, 3]])[:, :2]
@@ -124,13 +121,6 @@ def drive():
     return {"sweep": np.asarray(snake_rs.read_points(PLANE.with_name("sweep.ply"))), "street": merged}
 
 
-def aerial():
-    """A crop of an aerial scan of a made street."""
-    from snake_training.data.sensors import scene_cloud
-
-    return scene_cloud(np.random.default_rng(3))[1].astype(np.float32)
-
-
 def objects(data):
     """The objects of the picture by name."""
     numbers = {row["name"]: number for number, row in enumerate(json.loads((data / "index.json").read_text()))}
@@ -138,10 +128,39 @@ def objects(data):
     return {name: points[numbers[full]] / np.float32(32767) for name, full in OBJECTS.items()}
 
 
-def rooms(scenes):
-    """Every tenth fragment of the training scenes, 20 of them, 8 m apart."""
-    paths = sorted(scenes.glob("train/*.npy"))[::10][:20]
-    return np.concatenate([np.load(path) + (8.0 * (i % 5), 8.0 * (i // 5), 0) for i, path in enumerate(paths)])
+def made_room():
+    """Points 2 cm apart on a floor, two walls and a box, with noise of 3 mm."""
+    rng, points = np.random.default_rng(0), []
+    for corner, u, v in [
+        ([0, 0, 0], [5, 0, 0], [0, 4, 0]), ([0, 0, 0], [5, 0, 0], [0, 0, 2.5]), ([0, 0, 0], [0, 4, 0], [0, 0, 2.5]),
+        ([2, 1, 0.8], [1, 0, 0], [0, 0.6, 0]), ([2, 1, 0], [1, 0, 0], [0, 0, 0.8]), ([2, 1.6, 0], [1, 0, 0], [0, 0, 0.8]),
+        ([2, 1, 0], [0, 0.6, 0], [0, 0, 0.8]), ([3, 1, 0], [0, 0.6, 0], [0, 0, 0.8]),
+    ]:  # fmt: skip
+        number = round(2500 * np.linalg.norm(np.cross(u, v)))
+        points.append(corner + rng.uniform(size=(number, 2)) @ [u, v])
+    points = np.concatenate(points)
+    return points + rng.normal(0, 0.003, points.shape)
+
+
+def places(points):
+    """The nine best keypoints of a made room by the field alone, and those of the default."""
+    words = dict(columns=2, view=(150, 35), model="scenes")
+    field = keypoints({"by the field alone": points}, **words, mode_radius=0, max_keypoints=9, min_confidence=0)
+    return [*field, *keypoints({"by the planes of the points": points}, **words)]
+
+
+def sensors():
+    """Two scans of a room in the coordinates of a site, the sensors that were found, and the half turn about their middle."""
+    files = (PLANE.with_name("room") / f"{number}.ply" for number in (2, 1))
+    clouds = [np.asarray(snake_rs.read_points(file)) + (30, -12, 4) for file in files]
+    result = snake_rs.register(*clouds)
+    eyes, t = np.array([cloud.position for cloud in result.clouds]), result.t_target_source
+    source, eyes[0] = (points @ t[:3, :3].T + t[:3, 3] for points in (clouds[0], eyes[0]))
+    colours = np.repeat([GREY, RED], [len(clouds[1]), len(source)], axis=0)
+    for title, sign in (f"the answer: confidence {result.verdict.confidence:.2f}", 1), ("the half turn: refused", -1):
+        turned = lambda points, sign=sign: sign * (points - eyes.mean(axis=0)) + eyes.mean(axis=0)
+        both = np.concatenate([clouds[1], turned(source)])[:, :2]
+        yield drawn(both, colours, title, WIDTH // 2, 2, np.array([turned(eyes[0]), eyes[1]])[:, :2], [7, 7])
 
 
 def page(out):
@@ -172,7 +191,6 @@ def pictures(data):
         return np.load(path)
 
     plane, office = np.asarray(snake_rs.read_points(PLANE)), lambda number: fragment(OFFICE.format(number))
-    pair = lambda name, *clouds, **words: save([answer(*clouds, **words)], name, colours=16)
     two = lambda name, named, *words, **others: save(list(keypoints(named, *words, 2, **others)), name, 2)
     return {
         "view.png": page,
@@ -183,13 +201,9 @@ def pictures(data):
         "gallery/first.png": lambda out: two(out, {"plane": plane, "office": office(6)}, "z camera"),
         "gallery/rooms.png": lambda out: two(out, {"office": office(6), "corner": office(20)}, "camera"),
         "gallery/street.png": lambda out: two(out, drive(), "z", view=(60, 35), radius=30),
-        "gallery/aerial.png": lambda out: two(
-            out, {"aerial": aerial(), "tabletop": fragment("tabletop_learn__00")}, "z camera", view=(15, 60)
-        ),
-        "gallery/map.png": lambda out: pair(
-            out, fragment("7-scenes-redkitchen__47"), rooms(folder("scenes")), map_voxel=0.05
-        ),
-        "gallery/overlap.png": lambda out: pair(out, office(8), office(2)),
+        "gallery/places.png": lambda out: save(places(made_room()), out, 2),
+        "gallery/sensors.png": lambda out: save(list(sensors()), out, 2, colours=16),
+        "gallery/overlap.png": lambda out: save([answer(office(8), office(2))], out, colours=16),
     }
 
 

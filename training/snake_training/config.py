@@ -306,8 +306,3 @@ def from_table(kind, table):
 def to_json(config):
     """The resolved configuration as text."""
     return json.dumps(dataclasses.asdict(config), indent=1)
-
-
-def from_json(text):
-    """Inverse of `to_json` for a run on objects."""
-    return from_table(TrainConfig, json.loads(text))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 import math
 import os
 import signal
@@ -18,7 +19,7 @@ from conftest import arguments, judged
 from snake_training import train as training
 from snake_training.augment import normalize, two_views
 from snake_training.command_line import parse_arguments
-from snake_training.config import from_json
+from snake_training.config import TrainConfig, from_table
 from snake_training.data import Procedural
 from snake_training.data.landmarks import landmarks
 from snake_training.detection import DetectOptions, why_none
@@ -81,7 +82,7 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
     config = tiny()
     train(config)
     run = Path(config.run_dir)
-    assert from_json((run / "config.json").read_text()) == config
+    assert from_table(TrainConfig, json.loads((run / "config.json").read_text())) == config
     assert set(state(config)) == {
         "settings",
         "network_config",
@@ -91,7 +92,7 @@ def test_a_run_writes_its_config_checkpoints_and_logs(tiny):
         "ema",
         "optimizer",
     }
-    assert state(config)["step"] == 2 and from_json(state(config)["settings"]) == config
+    assert state(config)["step"] == 2 and from_table(TrainConfig, json.loads(state(config)["settings"])) == config
     assert state(config, "best.pt")["best"] >= 0
     logged = scalars(config)
     losses = {"occupancy", "repeatability", "surface", "sparsity", "saturated"}

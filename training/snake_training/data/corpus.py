@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -56,22 +56,6 @@ def read_list(path=LIST):
     """The entries of a list."""
     with gzip.open(path, "rt", encoding="utf-8") as file:
         return [Entry(*line.rstrip("\n").split("\t")) for line in file]
-
-
-def write_list(entries, path=LIST):
-    """Writes a list; the same entries give the same bytes."""
-    text = "".join("\t".join(astuple(entry)) + "\n" for entry in entries)
-    path.write_bytes(gzip.compress(text.encode(), mtime=0))
-
-
-def entries_of(folder, split, commits):
-    """The entries of a corpus folder; commits: those that are known, by repository."""
-    corpus = Corpus(folder)
-    return [
-        Entry(split, row["source"], commits.get(row["source"], ""), row["path"], row["name"], row["category"], row["group"],
-              row["family"], row["licence"], str(row["faces"]), digest(points), ",".join(f"{x:.3f}" for x in spread(points)))
-        for row, points in zip(corpus.index, corpus.points, strict=True)
-    ]  # fmt: skip
 
 
 def digest(points):

@@ -72,10 +72,14 @@ pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: 
 mod tests {
     use super::*;
     use crate::detect::localize::Surroundings;
+    use crate::options::Preference;
 
     fn placed(field: &Field, positions: &[Point], apart: f32) -> Vec<Point> {
         let modes = Modes { positions: positions.to_vec(), scores: vec![0.5; positions.len()] };
-        on_surface(field, &Surroundings::of(field).patches().unwrap(), modes, apart).unwrap().0.positions
+        on_surface(field, &Surroundings::of(field, Preference::Salient).patches().unwrap(), modes, apart)
+            .unwrap()
+            .0
+            .positions
     }
 
     /// A box of 0.3 by 1 by 0.4, thin enough that modes of both sides meet in its middle.

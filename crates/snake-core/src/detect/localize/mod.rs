@@ -22,18 +22,21 @@ pub(crate) use self::patches::Patches;
 use self::patches::{Anchors, Sums, first_of_cells};
 use crate::Result;
 use crate::field::Field;
+use crate::options::Preference;
 use snake_geometry::{Covariance, Point, Vector, resolution, vector};
 
 /// The radius in voxels: of a scene, whose voxels are about as wide as the distance of its points, and of an object.
 const RADIUS: [f32; 2] = [5.0, 2.2];
-/// Where fewer than this many patches are near, the radius grows, ...
-const FEW_PATCHES: f32 = 51.0;
+/// Cells of patches are as wide as this share of the radius, by default and for corners of objects, ...
+const SIDES: [f32; 2] = [0.25, 0.2];
+/// ... and patches have points within this share.
+const REACH: f32 = 0.5;
+/// Where the cells near have less than this area, in squares of the radius, the radius grows, ...
+const SMALL_AREA: f32 = 3.2;
 /// ... up to this many times.
 const MAX_GROWTH: f32 = 1.6;
 /// Where a cell of patches of a scene has fewer points than this, as in a thinned sweep, they know nothing finer than the field.
 const MIN_DENSITY: f64 = 1.9;
-/// Cells of patches are as wide as this share of the radius, and patches have points within the second share.
-const PATCHES: [f32; 2] = [0.25, 0.5];
 /// The weight that holds a keypoint, as a share of all weights.
 const HOLD: f64 = 0.02;
 /// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
@@ -115,17 +118,19 @@ pub(crate) struct Surroundings<'a> {
 
 impl<'a> Surroundings<'a> {
     /// All points of a scene; of an object every second, third and so on if it has too many.
-    pub(crate) fn of(field: &'a Field) -> Self {
+    pub(crate) fn of(field: &'a Field, prefer: Preference) -> Self {
         let (points, normalization) = (field.points(), field.normalization());
-        let ([scene, object], is_scene) = (RADIUS, field.lattice().is_scene());
-        let radius = field.voxel_size() * if is_scene { scene } else { object };
+        let is_scene = field.lattice().is_scene();
+        let radius = field.voxel_size() * RADIUS[usize::from(!is_scene)];
+        let side = radius * SIDES[usize::from(!is_scene && prefer == Preference::Corners)];
         let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
         let points: Cow<[Point]> =
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells lie in the frame of the network, so that a moved scene has the same.
-        let cell = |point| normalization.to_network(point).map(|v| v * normalization.scale / (PATCHES[0] * radius));
+        let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
         let min_density = if is_scene { MIN_DENSITY } else { 0.0 };
-        Self { anchors: Anchors { min_density, ..first_of_cells(&points, cell) }, points, radius }
+        let anchors = first_of_cells(&points, side, place);
+        Self { anchors: Anchors { min_density, ..anchors }, points, radius }
     }
 
     /// Their planar patches.
@@ -169,7 +174,8 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
     if f64::from(points) < patches.min_density * around.count as f64 {
         return unknown;
     }
-    let radius = patches.radius * (FEW_PATCHES / around.count.max(1) as f32).sqrt().clamp(1.0, MAX_GROWTH);
+    let area = around.count.max(1) as f32 * (patches.side / patches.radius).powi(2);
+    let radius = patches.radius * (SMALL_AREA / area).sqrt().clamp(1.0, MAX_GROWTH);
     let (mut at, mut last) = (keypoint, None);
     for tolerance in TOLERANCES {
         let planes = Planes::near(patches, &at, radius, tolerance * f64::from(radius));

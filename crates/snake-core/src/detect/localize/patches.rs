@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 
 use nalgebra::Matrix3;
 
-use super::{MAX_GROWTH, PATCHES};
+use super::{MAX_GROWTH, REACH};
 use crate::Result;
 use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 
@@ -56,17 +56,20 @@ impl Patch {
 #[derive(Default)]
 pub(super) struct Anchors {
     pub(super) points: Vec<Point>,
+    /// The side of a cell.
+    pub(super) side: f32,
     /// How many points of the cloud are in the cell of each.
     pub(super) counts: Vec<u32>,
     /// With fewer points a cell, on average, they determine no place.
     pub(super) min_density: f64,
 }
 
-/// The first point of each cubic cell of a cloud, by coordinates in cells.
-pub(super) fn first_of_cells(points: &[Point], cell: impl Fn(Point) -> Point) -> Anchors {
-    let (mut cells, mut anchors) = (HashMap::new(), Anchors::default());
+/// The first point of each cubic cell of a cloud, by where points lie in the frame of the cells.
+pub(super) fn first_of_cells(points: &[Point], side: f32, place: impl Fn(Point) -> Point) -> Anchors {
+    let (mut cells, mut anchors) = (HashMap::new(), Anchors { side, ..Anchors::default() });
     for point in points {
-        let index = *cells.entry(cell(*point).map(|v| v.floor() as i64)).or_insert(anchors.points.len());
+        let cell = place(*point).map(|v| (v / side).floor() as i64);
+        let index = *cells.entry(cell).or_insert(anchors.points.len());
         if index == anchors.points.len() {
             anchors.points.push(*point);
             anchors.counts.push(0);
@@ -83,6 +86,8 @@ pub(crate) struct Patches<'a> {
     searches: Vec<f32>,
     /// The radius within which they determine a place.
     pub(super) radius: f32,
+    /// The side of a cell.
+    pub(super) side: f32,
     pub(super) anchors: RadiusCells<'a>,
     pub(super) counts: &'a [u32],
     pub(super) min_density: f64,
@@ -92,12 +97,13 @@ pub(crate) struct Patches<'a> {
 impl<'a> Patches<'a> {
     /// The patches at anchors, for places that planes within `radius` determine.
     pub(super) fn new(points: &'a [Point], anchors: &'a Anchors, radius: f32) -> Result<Self> {
-        let [side, reach] = PATCHES.map(|share| share * radius);
+        let (side, reach) = (anchors.side, REACH * radius);
         let in_cell = points.len() as f32 / anchors.points.len().max(1) as f32;
         let searches = SEARCHED.map(|number| side * (number / (std::f32::consts::PI * in_cell)).sqrt());
         let searches: Vec<f32> = searches.into_iter().filter(|radius| *radius < reach).chain([reach]).collect();
         Ok(Self {
             radius,
+            side,
             points: RadiusCells::new(points, searches[0])?,
             searches,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,

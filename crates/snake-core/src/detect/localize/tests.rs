@@ -27,7 +27,7 @@ fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
 }
 
 fn localized(points: &[Point], start: Point) -> Place {
-    let anchors = first_of_cells(points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
+    let anchors = first_of_cells(points, SIDES[0] * 0.25, |point| point);
     localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start])[0]
 }
 
@@ -107,7 +107,7 @@ fn points_as_sparse_as_cells_determine_nothing() {
     let start = [0.06, 0.05, -0.04];
     for (spacing, is_known) in [(0.052, false), (0.02, true)] {
         let points = corner(3, spacing, 0.003);
-        let cells = first_of_cells(&points, |point| point.map(|v| v / (PATCHES[0] * 0.25)));
+        let cells = first_of_cells(&points, SIDES[0] * 0.25, |point| point);
         let anchors = Anchors { min_density: MIN_DENSITY, ..cells };
         let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start]);
         assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
@@ -143,7 +143,7 @@ fn rotation_and_far_coordinates_change_nothing() {
 fn the_place_does_not_depend_on_points_far_away() {
     let points = corner(3, 0.02, 0.003);
     let start = [0.06, 0.05, -0.04];
-    let is_near = |point: &&Point| distance(**point, start) < 0.25 * (2.0 * MAX_GROWTH + PATCHES[1]);
+    let is_near = |point: &&Point| distance(**point, start) < 0.25 * (2.0 * MAX_GROWTH + REACH);
     let near: Vec<Point> = points.iter().filter(is_near).copied().collect();
     assert!(near.len() < points.len());
     assert_eq!(localized(&near, start), localized(&points, start));

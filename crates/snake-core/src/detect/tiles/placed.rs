@@ -144,7 +144,7 @@ impl PlacedDetector {
                 return Ok(TileOutcome::NeedsMargin(margin.saturating_mul(2)));
             };
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
-            let places = localize(&Surroundings::of(&field).patches()?, &positions);
+            let places = localize(&Surroundings::of(&field, self.options.detect.prefer).patches()?, &positions);
             let localized = |(candidate, place): (Candidate, Place)| {
                 let Place { position, covariance, deviations, .. } = place;
                 let rank = place.rank(candidate.saliency);
