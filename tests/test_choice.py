@@ -18,7 +18,7 @@ OPTIONS = [
     {"max_keypoints": 20, "nms_radius": "3r"},
     {"rotations": 3},
     {"rotations": 1},
-    {"voxel_size": 0.1},
+    {"voxel_size": 0.1, "min_confidence": 0.0},
     {"voxel_size": "3r", "max_keypoints": 5, "min_confidence": 0.0},
     {"normalization": "principal-axes"},
     {"preset": "keypointnet"},

@@ -52,7 +52,7 @@ def test_built_in_models_have_names(points):
     kept = pickle.dumps(scenes)
     assert len(kept) < 1000 and pickle.loads(kept).metadata == scenes.metadata
     assert snake_rs.Model.builtin("compact").metadata == snake_rs.Model.builtin().metadata != scenes.metadata
-    assert len(snake_rs.detect(points, scenes)) > 0
+    assert len(snake_rs.detect(points, scenes, min_confidence=0)) > 0
     with pytest.raises(ValueError, match="compact, standard or scenes"):
         snake_rs.Model.builtin("potatoes")
 
