@@ -171,7 +171,7 @@ impl Field {
         let preset = options::resolve("detect", &options::DETECT, self.core.recommended(), options)?;
         let detection = threads::run_with_signals(py, |control| self.core.detect_with(&preset.detect, control))?;
         let cloud = core::Cloud { points: self.core.points().to_vec(), origin: self.origin };
-        let note = detection.note(preset.detect.max_keypoints);
+        let note = detection.note(&preset.detect);
         warn(py, &note)?;
         let notes = self.notes().into_iter().chain(note).collect();
         let source = (Some(self.model_name.clone()), notes);

@@ -119,7 +119,7 @@ impl Keypoints {
         cloud: &Cloud,
         precision: Precision,
     ) -> PyResult<Self> {
-        let note = detection.note(chosen.options.detect.max_keypoints);
+        let note = detection.note(&chosen.options.detect);
         warn(py, &note)?;
         notes.extend(note);
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);

@@ -79,7 +79,7 @@ pub unsafe extern "C" fn snake_detect(
             let chosen = model.chooser.with_values(&values)?.for_points(&points)?;
             Ok((chosen.detect(&Control::default())?, chosen))
         })?;
-        let notes = chosen.notes().into_iter().chain(found.note(chosen.options.detect.max_keypoints));
+        let notes = chosen.notes().into_iter().chain(found.note(&chosen.options.detect));
         let result = SnakeDetection {
             keypoints: found.keypoints.iter().map(SnakeKeypoint::from).collect(),
             voxel_size: found.voxel_size.unwrap_or(f32::NAN),

@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let chooser = Chooser::default().with_values(&values)?;
     let chosen = chooser.for_points(&points)?;
     let detection = chosen.detect(&Control::default())?;
-    let note = detection.note(chosen.options.detect.max_keypoints);
+    let note = detection.note(&chosen.options.detect);
     let notes: Vec<String> = chosen.notes().into_iter().chain(note).collect();
 
     let (keypoints, voxel_size) = (&detection.keypoints, detection.voxel_size);

@@ -46,7 +46,7 @@ impl ShownCloud {
     pub fn detect(chosen: &Chosen, name: String, control: &Control) -> Result<Self> {
         let field = chosen.encode(control)?;
         let detection = field.detect_with(&chosen.options.detect, control)?;
-        let note = detection.note(chosen.options.detect.max_keypoints);
+        let note = detection.note(&chosen.options.detect);
         let points = field.points();
         let shown = subsample(points);
         let surface = surface(&field, control)?;

@@ -164,7 +164,7 @@ impl Job<'_> {
         // Before the detection, which may take minutes at the wrong scale.
         add_notes(chosen.notes());
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
-        add_notes(detection.note(chosen.options.detect.max_keypoints).into_iter().collect());
+        add_notes(detection.note(&chosen.options.detect).into_iter().collect());
         let mut origin_to_add = [0.0; 3];
         if let Some(output) = output {
             let source = KeypointSource { crs, ..KeypointSource::new(input, origin) };

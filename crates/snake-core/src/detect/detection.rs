@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::options::DetectOptions;
 use snake_geometry::{Keypoint, Normalization};
 
 /// The result of a detection: keypoints, counts and run times.
@@ -30,19 +31,23 @@ pub struct Detection {
 const FEW: usize = 8;
 
 impl Detection {
-    /// Why there are fewer than eight keypoints though `max_keypoints` were allowed, and what gives more, in a sentence for a user.
-    pub fn note(&self, max_keypoints: usize) -> Option<String> {
+    /// Why there are fewer than eight keypoints though the options allow more, and what gives more, in a sentence for a user.
+    pub fn note(&self, options: &DetectOptions) -> Option<String> {
         let text = match self.counts {
             Counts { occupied: 0, .. } => "a lower `occupancy_threshold`, such as 0.3, may find some",
             Counts { above_threshold: 0, .. } => "a lower `saliency_threshold` may find some",
-            _ => "few places are found again more often than chance, as on a flat wall: `min_confidence` 0 gives all",
+            _ if options.min_confidence.is_none() => "a smaller `nms_radius` keeps more",
+            _ => {
+                "few places are found again more often than chance, as on a flat wall: a larger `voxel_size` may show more, \
+                 `min_confidence` 0 gives all"
+            }
         };
         let number = match self.keypoints.len() {
             0 => "no keypoints".into(),
             1 => "one keypoint".into(),
             number => format!("{number} keypoints"),
         };
-        (self.keypoints.len() < max_keypoints.min(FEW)).then(|| format!("{number}: {text}"))
+        (self.keypoints.len() < options.max_keypoints.min(FEW)).then(|| format!("{number}: {text}"))
     }
 }
 

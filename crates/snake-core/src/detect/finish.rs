@@ -36,7 +36,7 @@ pub(super) fn finish(
         _ => positions.into_iter().map(Place::unknown).collect::<Vec<_>>(),
     };
     let drops_rows = moves_to_planes && options.min_confidence.is_some();
-    let stays = |(place, score): &(Place, f32)| !(drops_rows && place.is_one_of_many(*score, field.voxel_size()));
+    let stays = |(place, _): &(Place, f32)| !(drops_rows && place.is_one_of_many(field.voxel_size()));
     let (places, scores): (Vec<_>, Vec<_>) = places.into_iter().zip(scores).filter(stays).unzip();
     let ranks = match options.prefer {
         Preference::Corners => corners::ranks(field, &places, &scores)?,

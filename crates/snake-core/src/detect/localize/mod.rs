@@ -56,8 +56,6 @@ const FIELD_DEVIATION: f64 = 0.04;
 const FIELD_BIAS: f64 = 0.3;
 /// An edge is known to this many voxels across, and not to that many along.
 const EDGE: [f32; 2] = [0.3, 0.6];
-/// Straight edges have a lower saliency than this, also near their ends.
-const STRAIGHT: f32 = 0.4;
 /// The ratio of the variances across and along the points within the radius below which they are a wall: at an edge it is 0.25.
 const WALL: f32 = 0.19;
 /// Points of an object that are asked, at most.
@@ -93,13 +91,12 @@ impl Place {
         score * (self.corner.clamp(least, most) / least).sqrt()
     }
 
-    /// Whether the points leave open where it lies: on a wall, or on a straight edge without saliency that tells where along it.
-    /// Another view finds it again by chance, as one of those that stand in a row.
-    pub(crate) fn is_one_of_many(&self, score: f32, voxel_size: f32) -> bool {
+    /// Whether the points leave open where it lies: on a wall, or along a straight edge. Another view finds it again by chance, as
+    /// one of those that stand in a row.
+    pub(crate) fn is_one_of_many(&self, voxel_size: f32) -> bool {
         let mut deviations = self.deviations.map(|deviation| deviation / voxel_size);
         deviations.sort_by(f32::total_cmp);
-        let is_edge = deviations[1] < EDGE[0] && deviations[2] > EDGE[1];
-        self.flatness < WALL || is_edge && score < STRAIGHT
+        self.flatness < WALL || deviations[1] < EDGE[0] && deviations[2] > EDGE[1]
     }
 
     /// A position of which nothing is known.

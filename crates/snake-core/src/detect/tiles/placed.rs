@@ -152,9 +152,7 @@ impl PlacedDetector {
                 Candidate { position, confidence, covariance, rank, ..candidate }
             };
             let drops_rows = self.options.detect.min_confidence.is_some();
-            let stays = |(candidate, place): &(Candidate, Place)| {
-                !(drops_rows && place.is_one_of_many(candidate.saliency, self.voxel_size))
-            };
+            let stays = |(_, place): &(Candidate, Place)| !(drops_rows && place.is_one_of_many(self.voxel_size));
             candidates = modes.into_iter().zip(places).filter(stays).map(localized).collect();
         }
         let positions: Vec<Point> = candidates.iter().map(|candidate| candidate.position).collect();
