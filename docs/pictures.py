@@ -157,8 +157,8 @@ def sensors():
     eyes, t = np.array([cloud.position for cloud in result.clouds]), result.t_target_source
     source, eyes[0] = (points @ t[:3, :3].T + t[:3, 3] for points in (clouds[0], eyes[0]))
     colours = np.repeat([GREY, RED], [len(clouds[1]), len(source)], axis=0)
-    for title, sign in (f"the answer: confidence {result.verdict.confidence:.2f}", 1), ("the half turn: refused", -1):
-        turned = lambda points, sign=sign: sign * (points - eyes.mean(axis=0)) + eyes.mean(axis=0)
+    for title, sign in (f"the answer: confidence {result.verdict.confidence:.2f}", 1), ("the half turn", -1):
+        turned = lambda points, sign=sign: (points - eyes.mean(axis=0)) * (sign, sign, 1) + eyes.mean(axis=0)
         both = np.concatenate([clouds[1], turned(source)])[:, :2]
         yield drawn(both, colours, title, WIDTH // 2, 2, np.array([turned(eyes[0]), eyes[1]])[:, :2], [7, 7])
 

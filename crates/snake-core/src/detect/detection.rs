@@ -36,7 +36,7 @@ impl Detection {
         let text = match self.counts {
             Counts { occupied: 0, .. } => "a lower `occupancy_threshold`, such as 0.3, may find some",
             Counts { above_threshold: 0, .. } => "a lower `saliency_threshold` may find some",
-            _ if options.min_confidence.is_none() => "a smaller `nms_radius` keeps more",
+            _ if options.min_confidence.is_none() => "a smaller `nms_radius` may keep more",
             _ => {
                 "few places are found again more often than chance, as on a flat wall: a larger `voxel_size` may show more, \
                  `min_confidence` 0 gives all"

@@ -78,7 +78,7 @@ options! {
         /// thr_s of the paper.
         saliency_threshold, with_saliency_threshold: f32 = 0.7, from 0 to 1, flag "SALIENCY";
         /// Least confidence of a keypoint: the probability that another view finds it again, for models whose file has a map
-        /// of it. On walls and along straight edges another view finds any place: scenes then have none there.
+        /// of it. On walls and along sharp edges another view finds any place: scenes then have none there.
         ///
         /// It is [`Keypoint::confidence`](crate::Keypoint::confidence).
         #[serde(deserialize_with = "none_if_zero")]
