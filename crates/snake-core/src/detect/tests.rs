@@ -4,7 +4,7 @@ use super::corners::ranks;
 use super::localize::Place;
 use super::*;
 use crate::{Builtin, EncodeOptions, Model, Preference};
-use snake_geometry::Keypoint;
+use snake_geometry::{Keypoint, Length};
 
 /// A cylinder's points and its field by the built-in model.
 pub(crate) fn cylinder() -> (Vec<Point>, Field) {
@@ -47,6 +47,16 @@ fn corners_come_first_where_they_are_preferred() {
         options.radii(&points, field.voxel_size(), None).unwrap().mode
     };
     assert_eq!(of(Preference::Corners, 0.4), of(Preference::Salient, 0.2));
+}
+
+#[test]
+fn modes_of_a_scene_reach_far_only_where_points_are_sparse() {
+    let points: Vec<Point> = (0..400).map(|i| [(i % 20) as f32, (i / 20) as f32, 0.0]).collect();
+    let options = DetectOptions::default().with_mode_radius(Some(Length::Resolutions(3.5)));
+    let mode = |voxel_size, diagonal| options.radii(&points, voxel_size, diagonal).unwrap().mode;
+    for (voxel_size, expected) in [(0.9, 3.5), (1.1, 3.5), (1.3, 0.65), (4.0, 2.0)] {
+        assert_eq!([mode(voxel_size, Some(30.0)), mode(voxel_size, None)], [Some(expected), Some(3.5)]);
+    }
 }
 
 #[test]

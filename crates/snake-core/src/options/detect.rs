@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::none_if_zero;
 use crate::Result;
-use snake_geometry::{Length, Point, options};
+use snake_geometry::{Length, Point, one_a_cell, options, resolution};
 
 /// The method that moves queries up the saliency field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -87,7 +87,8 @@ options! {
         /// best single query.
         ///
         /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it. Keypoints of scenes,
-        /// and corners, then move to the point nearest to the planes around them; those of objects onto the surface.
+        /// and corners, then move to the point nearest to the planes around them; those of objects onto the surface. In a scene,
+        /// a multiple of the resolution counts only where points lie about as far apart as voxels, as in sweeps; else it is half a voxel.
         #[serde(deserialize_with = "none_if_zero")]
         mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
             from 0 or more " (cloud units, or as in `3r` resolutions)";
@@ -125,11 +126,39 @@ impl DetectOptions {
         if let (Some(diagonal), Some(Length::Voxels(_))) = (diagonal, self.nms_radius) {
             nms = nms.min(diagonal * MAX_SHARE_OF_SCENE);
         }
-        let mode = self.mode_radius.map(|length| units("mode_radius", length)).transpose()?;
+        let mode = match self.mode_radius {
+            Some(multiple @ Length::Resolutions(_)) if diagonal.is_some() => {
+                let resolution = resolution_from(SPARSE * f64::from(voxel_size), points)?;
+                Some(of_scene(multiple, resolution, voxel_size)? as f32)
+            }
+            length => length.map(|length| units("mode_radius", length)).transpose()?,
+        };
         let mode = mode.map(|radius| radius * width).filter(|radius| *radius > 0.0);
         let starts_in_voxels = diagonal.map_or(0.0, |_| SCENE_STARTS * voxel_size);
         Ok(Radii { nms, mode, starts: mode.map_or(0.0, |radius| starts_in_voxels.max(radius / 2.0)) })
     }
+}
+
+/// The resolution of sparse points, in voxels: rooms have 0.75 and less, sweeps 1.08 and more.
+const SPARSE: f64 = 0.85;
+
+/// The radius of modes of a scene of a known resolution, in cloud units. Where points are sparse, the mean of candidates is the best
+/// that is known of a place; elsewhere planes know more, and a wide mean confounds neighbouring places.
+pub(crate) fn of_scene(multiple: Length, resolution: f64, voxel_size: f32) -> Result<f64> {
+    let voxel_size = f64::from(voxel_size);
+    if resolution > SPARSE * voxel_size { multiple.resolve("mode_radius", || resolution) } else { Ok(0.5 * voxel_size) }
+}
+
+/// Cells with points are at most so many times as many as cells four times as wide, unless the points lie closer together than 1.2
+/// sides of the smaller ones.
+const COVERED: usize = 11;
+
+/// The resolution of a cloud, or `least` if it is finer. Dense points take a quarter of the time.
+pub(super) fn resolution_from(least: f64, points: &[Point]) -> Result<f64> {
+    let side = least / 1.2;
+    let cells = one_a_cell(points, side, 0.0);
+    let is_covered = cells.len() > COVERED * one_a_cell(&cells, 4.0 * side, 0.0).len();
+    if is_covered { Ok(least) } else { Ok(resolution("points", points)?.max(least)) }
 }
 
 /// Lengths of [`DetectOptions`] in cloud units.

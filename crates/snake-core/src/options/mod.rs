@@ -10,8 +10,8 @@ mod presets;
 pub use self::by_name::in_words;
 pub use self::by_name::option_names;
 pub use self::by_name::with_named_values;
-pub(crate) use self::detect::Radii;
 pub use self::detect::{DetectOptions, Preference, RefineMethod, Selection};
+pub(crate) use self::detect::{Radii, of_scene};
 pub use self::encode::EncodeOptions;
 pub use self::mesh::{MeshOptions, MeshSurface};
 pub use self::presets::Preset;
@@ -46,8 +46,9 @@ where
 
 #[cfg(test)]
 mod tests {
+    use super::detect::resolution_from;
     use super::*;
-    use snake_geometry::Length;
+    use snake_geometry::{Length, Point, resolution};
 
     #[test]
     fn a_radius_is_a_length_and_0_is_off() {
@@ -64,6 +65,21 @@ mod tests {
         }
         let off = DetectOptions { mode_radius: Some(Length::Units(0.0)), ..Default::default() };
         assert!(off.check_ranges().is_ok() && off.radii(&[], 1.0, None).unwrap().mode.is_none());
+    }
+
+    #[test]
+    fn the_resolution_from_a_length_on_is_the_larger_one() {
+        let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;
+        let drawn: Vec<Point> = (0..9000).map(|i| [at(i, 2_654_435_761), at(i, 40_503), 0.1]).collect();
+        let grid: Vec<Point> = (0..9000).map(|i| [(i % 90) as f32 * 0.01, (i / 90) as f32 * 0.01, 0.3]).collect();
+        for points in [&drawn, &grid, &drawn[..90].repeat(100)] {
+            let expected = resolution("points", points).unwrap();
+            for share in [0.3, 0.8, 0.99, 1.0, 1.01, 1.2, 1.5, 3.0, 10.0] {
+                let from = resolution_from(share * expected, points).unwrap();
+                assert_eq!(from, expected.max(share * expected), "{share} {}", points.len());
+            }
+        }
+        assert!(resolution_from(1.0, &[]).is_err());
     }
 
     #[test]

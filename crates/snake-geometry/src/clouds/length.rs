@@ -115,7 +115,7 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
 }
 
 /// The first of the points in each cubic cell, of cells that are shifted by a share of their side.
-fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Vec<Point> {
+pub fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Vec<Point> {
     let cell = |point: &Point| point.map(|v| (f64::from(v) / side + shift).floor() as i64);
     let (mut taken, mut last) = (HashSet::new(), None);
     // The points of a scan come in lines, so most lie in the cell of the one before.

@@ -15,7 +15,7 @@ mod sensor;
 pub use cloud::{Bounds, Cloud, add_origin, subtract_origin};
 pub use covariance::Covariance;
 pub use keypoint::Keypoint;
-pub use length::{Length, gaps, resolution};
+pub use length::{Length, gaps, one_a_cell, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
 pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};

@@ -49,9 +49,9 @@ const FLATNESS: f64 = 0.1;
 const CORNERS: [f32; 2] = [0.005, 0.2];
 /// A direction is open if less than this share of the weights is along it.
 const OPEN: f64 = 0.005;
-/// A keypoint moves half the way along a direction that planes know to this share of the radius, 0.2 voxels of a scene: the field
-/// finds its own place again about as well.
-const FIELD_DEVIATION: f64 = 0.04;
+/// A keypoint moves half the way along a direction that planes know to this share of the radius, 0.25 voxels of a scene and 0.09 of an
+/// object: the field finds its own place again about as well.
+const FIELD_DEVIATION: [f64; 2] = [0.05, 0.04];
 /// The standard deviation of the field's place from the one that the planes mean, as a share of the radius.
 const FIELD_BIAS: f64 = 0.3;
 /// An edge is known to this many voxels across, and not to that many along.
@@ -74,7 +74,8 @@ const MIN_RESIDUAL: f64 = 1e-4;
 pub(crate) struct Place {
     pub(crate) position: Point,
     pub(crate) covariance: Covariance,
-    /// The standard deviations along three directions, in cloud units; infinite along those that are open.
+    /// The standard deviations of the place that planes mean, along three directions, in cloud units; infinite along those that are
+    /// open.
     pub(crate) deviations: [f32; 3],
     /// The share of the weights along the direction that is known least: a third at the corner of a cube, about 0 where a
     /// direction is open.
@@ -125,9 +126,8 @@ impl<'a> Surroundings<'a> {
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells lie in the frame of the network, so that a moved scene has the same.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
-        let min_density = if is_scene { MIN_DENSITY } else { 0.0 };
         let anchors = first_of_cells(&points, side, place);
-        Self { anchors: Anchors { min_density, ..anchors }, points, radius }
+        Self { anchors: Anchors { is_scene, ..anchors }, points, radius }
     }
 
     /// Their planar patches.
@@ -168,7 +168,7 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
     });
     let flatness = around.plane(0.0).map_or(1.0, |plane| plane.flatness as f32);
     let unknown = Place { flatness, ..Place::unknown(keypoint) };
-    if f64::from(points) < patches.min_density * around.count as f64 {
+    if patches.is_scene && f64::from(points) < MIN_DENSITY * around.count as f64 {
         return unknown;
     }
     let area = around.count.max(1) as f32 * (patches.side / patches.radius).powi(2);
@@ -181,7 +181,9 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
         at = nearest.map(|v| v as f32).into();
         last = Some((planes, nearest));
     }
-    let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, f64::from(radius));
+    let radius = f64::from(radius);
+    let field_deviation = FIELD_DEVIATION[usize::from(!patches.is_scene)] * radius;
+    let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, radius, field_deviation);
     Place { flatness, ..last.map_or(unknown, place) }
 }
 
@@ -228,11 +230,12 @@ impl Planes {
     }
 
     /// The place of a keypoint that moves to a position along the directions that the planes do not leave open.
-    fn place(&self, keypoint: Vector, nearest: Vector, radius: f64) -> Place {
+    fn place(&self, keypoint: Vector, nearest: Vector, radius: f64, field_deviation: f64) -> Place {
         let number = self.weight * self.own_weight / self.squared_weight;
         let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * radius);
         let SymmetricEigen { eigenvalues, eigenvectors } = (self.normals / self.weight).symmetric_eigen();
         let (mut position, mut variances, mut corner) = (keypoint, [f64::INFINITY; 3], f64::INFINITY);
+        let mut deviations = [f32::INFINITY; 3];
         for (axis, direction) in eigenvectors.column_iter().enumerate() {
             let share = eigenvalues[axis];
             if share <= OPEN {
@@ -240,16 +243,17 @@ impl Planes {
                 continue;
             }
             let variance = residual.powi(2) / (number * share);
-            let trust = ((FIELD_DEVIATION * radius).powi(2) / variance).powi(3);
+            let trust = (field_deviation.powi(2) / variance).powi(3);
             let gain = trust / (1.0 + trust);
             position += direction * (gain * direction.dot(&(nearest - keypoint)));
             variances[axis] = gain.powi(2) * variance + ((1.0 - gain) * FIELD_BIAS * radius).powi(2);
+            deviations[axis] = variance.sqrt() as f32;
             corner = corner.min(share * gain);
         }
         Place {
             position: position.map(|v| v as f32).into(),
             covariance: Covariance::along(&eigenvectors, variances),
-            deviations: variances.map(|variance| variance.sqrt() as f32),
+            deviations,
             corner: corner as f32,
             flatness: 1.0,
         }

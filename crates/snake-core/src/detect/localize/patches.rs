@@ -60,8 +60,7 @@ pub(super) struct Anchors {
     pub(super) side: f32,
     /// How many points of the cloud are in the cell of each.
     pub(super) counts: Vec<u32>,
-    /// With fewer points a cell, on average, they determine no place.
-    pub(super) min_density: f64,
+    pub(super) is_scene: bool,
 }
 
 /// The first point of each cubic cell of a cloud, by where points lie in the frame of the cells.
@@ -90,7 +89,7 @@ pub(crate) struct Patches<'a> {
     pub(super) side: f32,
     pub(super) anchors: RadiusCells<'a>,
     pub(super) counts: &'a [u32],
-    pub(super) min_density: f64,
+    pub(super) is_scene: bool,
     patches: Vec<OnceLock<Option<Patch>>>,
 }
 
@@ -108,7 +107,7 @@ impl<'a> Patches<'a> {
             searches,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
-            min_density: anchors.min_density,
+            is_scene: anchors.is_scene,
             patches: anchors.points.iter().map(|_| OnceLock::new()).collect(),
         })
     }

@@ -106,7 +106,7 @@ fn points_as_sparse_as_cells_determine_nothing() {
     for (spacing, is_known) in [(0.052, false), (0.02, true)] {
         let points = corner(3, spacing, 0.003);
         let cells = first_of_cells(&points, SIDES[0] * 0.25, |point| point);
-        let anchors = Anchors { min_density: MIN_DENSITY, ..cells };
+        let anchors = Anchors { is_scene: true, ..cells };
         let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start]);
         assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
         assert_ne!(localized(&points, start).covariance, Covariance::UNKNOWN);

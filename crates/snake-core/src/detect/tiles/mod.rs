@@ -23,7 +23,7 @@ use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::lattice::voxel_size;
 use crate::network::Network;
-use crate::options::{DetectOptions, Options, Preference};
+use crate::options::{DetectOptions, Options, Preference, of_scene};
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 use snake_kernels::BLOCK_SIDE;
@@ -108,14 +108,16 @@ impl TileDetector {
     /// # Errors
     /// [`Error::Option`] without a voxel size, and for a length out of its range.
     pub fn place(&self, [low, high]: [Point; 2], resolution: Option<f64>) -> Result<PlacedDetector> {
-        let mut detect = self.options.detect;
+        let (mut detect, voxel_size) = (self.options.detect, self.voxel_size()?);
         for (name, length) in [("nms_radius", &mut detect.nms_radius), ("mode_radius", &mut detect.mode_radius)] {
             if let Some(multiple @ Length::Resolutions(_)) = *length {
-                let known = resolution.map(|resolution| multiple.resolve(name, || resolution));
+                let known = resolution.map(|resolution| match name {
+                    "mode_radius" => of_scene(multiple, resolution, voxel_size),
+                    _ => multiple.resolve(name, || resolution),
+                });
                 *length = known.transpose()?.map(Length::Units);
             }
         }
-        let voxel_size = self.voxel_size()?;
         let radii = detect.radii(&[], voxel_size, Some(diagonal(&[low, high])))?;
         Ok(PlacedDetector {
             network: self.network.clone(),
