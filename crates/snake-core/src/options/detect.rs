@@ -129,7 +129,7 @@ impl DetectOptions {
         let mode = match self.mode_radius {
             Some(multiple @ Length::Resolutions(_)) if diagonal.is_some() => {
                 let resolution = resolution_from(SPARSE * f64::from(voxel_size), points)?;
-                Some(of_scene(multiple, resolution, voxel_size)? as f32)
+                Some(mode_of_scene(multiple, resolution, voxel_size)? as f32)
             }
             length => length.map(|length| units("mode_radius", length)).transpose()?,
         };
@@ -144,7 +144,7 @@ const SPARSE: f64 = 0.85;
 
 /// The radius of modes of a scene of a known resolution, in cloud units. Where points are sparse, the mean of candidates is the best
 /// that is known of a place; elsewhere planes know more, and a wide mean confounds neighbouring places.
-pub(crate) fn of_scene(multiple: Length, resolution: f64, voxel_size: f32) -> Result<f64> {
+pub(crate) fn mode_of_scene(multiple: Length, resolution: f64, voxel_size: f32) -> Result<f64> {
     let voxel_size = f64::from(voxel_size);
     if resolution > SPARSE * voxel_size { multiple.resolve("mode_radius", || resolution) } else { Ok(0.5 * voxel_size) }
 }

@@ -11,7 +11,7 @@ pub use self::by_name::in_words;
 pub use self::by_name::option_names;
 pub use self::by_name::with_named_values;
 pub use self::detect::{DetectOptions, Preference, RefineMethod, Selection};
-pub(crate) use self::detect::{Radii, of_scene};
+pub(crate) use self::detect::{Radii, mode_of_scene};
 pub use self::encode::EncodeOptions;
 pub use self::mesh::{MeshOptions, MeshSurface};
 pub use self::presets::Preset;

@@ -23,7 +23,7 @@ use crate::cloud::UsedCloud;
 use crate::control::Control;
 use crate::lattice::voxel_size;
 use crate::network::Network;
-use crate::options::{DetectOptions, Options, Preference, of_scene};
+use crate::options::{DetectOptions, Options, Preference, mode_of_scene};
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 use snake_kernels::BLOCK_SIDE;
@@ -112,7 +112,7 @@ impl TileDetector {
         for (name, length) in [("nms_radius", &mut detect.nms_radius), ("mode_radius", &mut detect.mode_radius)] {
             if let Some(multiple @ Length::Resolutions(_)) = *length {
                 let known = resolution.map(|resolution| match name {
-                    "mode_radius" => of_scene(multiple, resolution, voxel_size),
+                    "mode_radius" => mode_of_scene(multiple, resolution, voxel_size),
                     _ => multiple.resolve(name, || resolution),
                 });
                 *length = known.transpose()?.map(Length::Units);
