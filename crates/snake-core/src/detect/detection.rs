@@ -27,11 +27,11 @@ pub struct Detection {
     pub timing: Timing,
 }
 
-/// Fewer keypoints hardly register two clouds, and are explained.
+/// Two clouds with fewer keypoints hardly register; [`Detection::note`] then says why there are so few.
 const FEW: usize = 8;
 
 impl Detection {
-    /// Why there are fewer than eight keypoints though the options allow more, and what gives more, in a sentence for a user.
+    /// A sentence for the user if there are fewer than eight keypoints although the options allow more: what may find more.
     pub fn note(&self, options: &DetectOptions) -> Option<String> {
         let text = match self.counts {
             Counts { occupied: 0, .. } => "a lower `occupancy_threshold`, such as 0.3, may find some",

@@ -10,7 +10,7 @@ use crate::field::Field;
 use crate::options::{DetectOptions, Preference, Radii};
 use snake_geometry::{Keypoint, Point, nearest_points, suppress};
 
-/// The last steps of a detection.
+/// The last steps of a detection: turns candidates into keypoints.
 pub(super) fn finish(
     field: &Field,
     candidates: Candidates,

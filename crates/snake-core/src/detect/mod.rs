@@ -66,7 +66,7 @@ impl Field {
     }
 }
 
-/// The diagonal of the box of some points.
+/// The diagonal of the bounding box of the points.
 fn diagonal(points: &[Point]) -> f32 {
     let [low, high] = [f32::min, f32::max].map(|end: fn(f32, f32) -> f32| {
         points.iter().copied().reduce(|a, b| std::array::from_fn(|axis| end(a[axis], b[axis]))).unwrap_or_default()
@@ -74,7 +74,7 @@ fn diagonal(points: &[Point]) -> f32 {
     (0..3).map(|axis| (high[axis] - low[axis]).powi(2)).sum::<f32>().sqrt()
 }
 
-/// The candidates that come of some queries. Tiles begin here too, with those queries that are theirs.
+/// Refines the occupied queries and keeps the salient ones as candidates. Detection in tiles starts here too.
 fn candidates(field: &Field, queries: &Queries, options: &DetectOptions, control: &Control) -> Result<Candidates> {
     let start = Instant::now();
     let occupied = above_occupancy(field, queries, options.occupancy_threshold, control)?;

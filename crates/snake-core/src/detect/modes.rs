@@ -5,39 +5,39 @@ use rayon::prelude::*;
 use crate::Result;
 use snake_geometry::{Point, RadiusCells, by_falling_score, keep_in_order};
 
-/// The steps of the mean shift: the share of the radius within which candidates count, and the power of their saliency that
-/// weighs them. With a power of 8, a candidate a tenth less salient weighs half as much. A mean over a wide neighbourhood lies
-/// inside of a corner; later steps come nearer to the peak.
+/// The steps of the mean shift. Each step takes the mean of the candidates within a share of the radius, weighted
+/// by a power of their saliency. With a power of 8, a candidate a tenth less salient weighs about half as much. A
+/// mean over a wide neighbourhood lies inside a corner, so later steps are narrower and end nearer to the peak.
 const STEPS: [(f32, i32); 3] = [(1.0, 8), (0.85, 12), (0.7, 16)];
 
-/// The share of the radius about a mode within which its best candidate is looked for.
+/// The best candidate of a mode is searched within this share of the radius around it.
 const SCORE_SHARE: f32 = 0.5;
 
-/// The distance from its start, in radii, within which candidates decide a mode: three steps and the search for the best one.
+/// Only candidates within this many radii of its start affect a mode: three steps, then the search for the best one.
 pub(crate) const SHIFT: f32 = 3.1;
 
-/// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer than 64
-/// keypoints the number for 64 is used, because the most salient candidates lie close together.
+/// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer
+/// than 64 keypoints, as many are moved as for 64, because the most salient candidates lie close together.
 const STARTS: usize = 48;
 
-/// Candidates that moved to modes, by falling saliency at their starts.
+/// Candidates after they moved to modes, ordered by falling saliency at their starts.
 pub(crate) struct Modes {
     /// Their new positions.
     pub(crate) positions: Vec<Point>,
-    /// The mean of the saliency where a candidate started and of the highest one where it ended. The latter tells modes on
-    /// a peak from those that stopped on a ridge; the former tells modes of one peak from each other.
+    /// The mean of the saliency at the start of a candidate and the highest saliency near its end. The end distinguishes
+    /// modes on a peak from those that stopped on a ridge; the start distinguishes modes on the same peak.
     pub(crate) scores: Vec<f32>,
 }
 
-/// Moves the most salient candidates, at least `apart` from each other, to modes by mean shift (Comaniciu and Meer 2002):
-/// three times to the mean of the candidates within `radius`, weighted by a power of their saliency. From step to step the
-/// radius falls and the power rises.
+/// Moves the most salient candidates, at least `apart` from each other, to modes by mean shift (Comaniciu
+/// and Meer 2002). Each of three steps moves a candidate to the mean of the candidates within `radius`,
+/// weighted by a power of their saliency. From step to step the radius falls and the power rises.
 ///
 /// A mean over a neighbourhood is more precise than the position of a single query. Modes can coincide, so they are
 /// suppressed afterwards.
 ///
 /// # Errors
-/// [`crate::Error::Input`] when a position is not finite.
+/// [`crate::Error::Input`] for more candidates than [`u32::MAX`].
 pub(crate) fn seek_modes(
     positions: &[Point],
     scores: &[f32],
@@ -81,7 +81,7 @@ fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Vec<Point>, 
     (modes, mode_scores)
 }
 
-/// The mean of the candidates within `radius` of a position; the position itself if there is none.
+/// The weighted mean of the points within `radius` of a position; the position itself if all weights are zero.
 pub(super) fn weighted_mean(cells: &RadiusCells, weights: &[f32], at: Point, radius: f32) -> Point {
     let (mut total, mut sum) = (0.0_f64, [0.0_f64; 3]);
     cells.within(&at, radius, |index| {

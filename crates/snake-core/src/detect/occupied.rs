@@ -13,7 +13,7 @@ use snake_geometry::Point;
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Occupied {
     pub(crate) positions: Vec<Point>,
-    /// Empty without a threshold, which needs no evaluation.
+    /// Empty if the threshold is 0: occupancy is then not evaluated.
     pub(crate) occupancy: Vec<f32>,
 }
 

@@ -13,8 +13,8 @@ use snake_geometry::Point;
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
-/// Queries are independent, except that Adam's gradient is that of the *mean* saliency: each query's own gradient divided
-/// by their number. A tile therefore makes all its steps on one thread.
+/// Queries are independent. Only Adam uses the gradient of the *mean* saliency, which is each query's
+/// own gradient divided by the number of queries. Each tile therefore makes all its steps on one thread.
 pub(crate) fn refine(
     field: &Field,
     queries: &Occupied,
@@ -34,17 +34,17 @@ pub(crate) fn refine(
     Ok(refined)
 }
 
-/// Some queries, with their occupancy or none.
+/// The queries of a tile, with their occupancy if it is known.
 struct Tile<'a> {
     positions: &'a [Point],
     occupancy: &'a [f32],
 }
 
-/// Positions of a tile's queries after each number of steps, with their saliency.
+/// Positions of a tile's queries at successive steps, with their saliency.
 struct Trajectory {
     /// Number of queries of the tile.
     num_queries: usize,
-    /// Step by step, so that query q after s steps stands at `s * num_queries + q`.
+    /// Ordered by step: query q after s steps is at index `s * num_queries + q`.
     positions: Vec<Point>,
     saliency: Vec<f32>,
 }
@@ -94,11 +94,11 @@ fn refine_tile(
     Ok(())
 }
 
-/// The most salient position on the surface of each query's trajectory; the first of several.
+/// Finds the most salient position on the surface along each query's trajectory; the first of equally salient ones.
 ///
-/// Occupancy is evaluated by falling saliency, until a position lies on the surface or its saliency is too low for a
-/// keypoint. The result is the same as with the occupancy of all positions, and most queries need none. `start_occupancy` is the
-/// occupancy of the first positions, or empty.
+/// Occupancy is evaluated in order of falling saliency, until a position lies on the surface or its saliency
+/// is too low for a keypoint. The result is the same as if the occupancy of all positions were known, but
+/// most queries need no evaluation. `start_occupancy` is the occupancy of the first positions, or empty.
 fn best_on_surface(
     field: &Field,
     trajectory: &Trajectory,
@@ -108,7 +108,7 @@ fn best_on_surface(
 ) {
     let &Trajectory { num_queries, ref positions, ref saliency } = trajectory;
     let num_steps = positions.len() / num_queries;
-    // For each query the number of its salient steps, and these steps by falling saliency.
+    // The number of salient steps of each query, and these steps in order of falling saliency.
     let (mut counts, mut ranked) = (vec![0; best.len()], vec![0; best.len() * num_steps]);
     for (query, (best, ranked)) in best.iter_mut().zip(ranked.chunks_exact_mut(num_steps)).enumerate() {
         *best = Refined { position: positions[query], score: 0.0 };
@@ -117,7 +117,7 @@ fn best_on_surface(
         counts[query] = ranked.iter_mut().zip(salient).map(|(rank, step)| *rank = step).count();
         ranked[..counts[query]].sort_unstable_by(|&a, &b| saliency(b).total_cmp(&saliency(a)).then(a.cmp(&b)));
     }
-    // Positions are numbered as in the trajectory, so that those of the starts come first.
+    // Positions are numbered as in the trajectory: the start positions come first.
     let is_unknown = |place: &usize| options.surface_threshold > 0.0 && *place >= start_occupancy.len();
     for rank in 0..num_steps {
         let is_open = |query: &usize| counts[*query] > rank;
@@ -138,23 +138,23 @@ fn best_on_surface(
     }
 }
 
-/// The steps of positions up the saliency.
+/// Gradient ascent of positions on the saliency.
 pub(crate) struct Ascent {
     method: RefineMethod,
     step_size: f32,
-    /// Adam climbs the mean saliency of all queries of the cloud.
+    /// Number of queries of the cloud: Adam climbs their mean saliency.
     num_queries: usize,
     adam: Adam,
 }
 
 impl Ascent {
-    /// The ascent of a tile with `num_positions` of all `num_queries` queries.
+    /// The ascent of a tile of `num_positions` queries; the cloud has `num_queries`.
     pub(crate) fn new(num_positions: usize, num_queries: usize, options: &DetectOptions) -> Self {
         let step_size = options.refine_step_size;
         Self { method: options.refine_method, step_size, num_queries, adam: Adam::new(num_positions, step_size) }
     }
 
-    /// One step up each position's gradient of its saliency.
+    /// Moves each position one step up the gradient of its saliency.
     pub(crate) fn step(&mut self, positions: &mut [Point], gradients: &[Point]) {
         match self.method {
             RefineMethod::Adam => self.adam.step(positions, gradients, -1.0 / self.num_queries as f32),
@@ -180,7 +180,7 @@ impl Adam {
         Self { step_size, steps: 0, mean: vec![0.0; 3 * num_points], variance: vec![0.0; 3 * num_points] }
     }
 
-    /// One step down the gradient times `factor`.
+    /// Moves the points one step down the gradient times `factor`.
     fn step(&mut self, points: &mut [Point], gradient: &[Point], factor: f32) {
         self.steps += 1;
         let (correct_mean, correct_variance) = (1.0 - 0.9_f64.powi(self.steps), 1.0 - 0.999_f64.powi(self.steps));

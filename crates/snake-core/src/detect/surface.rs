@@ -10,20 +10,20 @@ use crate::Result;
 use crate::field::Field;
 use snake_geometry::{Point, RadiusCells};
 
-/// A mode moves to the most salient point within this many voxels, in an object of radius 1 about 0.07 wide each, ...
+/// A mode moves to the most salient point within this many voxels. In an object of radius 1, a voxel is about 0.07 wide.
 const SEARCH: f32 = 2.0;
-/// ... and twice to the mean of the points within this many, ...
+/// The mode then moves twice to the weighted mean of the points within this many voxels.
 const MEAN: f32 = 1.4;
-/// ... weighted by this power of their saliency.
+/// The weights of this mean are the saliency to this power.
 const POWER: i32 = 4;
 /// A mode lies on the surface if a point is within this many voxels.
 const ON: f32 = 0.5;
 
-/// Modes on the surface, as the points show it, and what they are ranked by. The modes of two sides of a thin body average to its
-/// middle. Where points are sparse or have noise, the field knows the surface better than they do, and modes stay.
+/// Moves modes onto the surface that the points show; returns the modes with their ranks. Modes of the two sides of a thin
+/// body average to its middle. Where points are sparse or noisy, the field is more precise than they are, and the modes stay.
 ///
-/// Moved modes meet. Where that leaves a gap in a list of keypoints `apart`, modes that lie on the surface already stand in: they come
-/// again, ranked after all others.
+/// Moved modes can coincide, which leaves gaps in a list of keypoints that are `apart` from each other.
+/// Modes that already lie on the surface fill the gaps: they are appended unmoved and rank after all others.
 pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: f32) -> Result<(Modes, Vec<f32>)> {
     if modes.positions.is_empty() || !shows_surface(patches, field.voxel_size())? {
         let ranks = modes.scores.clone();

@@ -1,13 +1,13 @@
-//! Where exactly: the point nearest to the tangent planes of the points around a keypoint (Förstner and Gülch 1987).
+//! Localization: a keypoint moves to the point nearest to the tangent planes of the points around it (Förstner and Gülch 1987).
 //!
-//! The field says where to look, and its voxels are coarser than the points. The place `x` minimises the sum of
-//! `w (nᵀ(x - p))²` over the planar patches around it, with means `p` and normals `n`. A weight `w` rises with the number of points, and
-//! falls with the distance from the keypoint, with the uncertainty of the normal, and with the residual, so that a stray point cannot
-//! pull (Geman and McClure 1985).
+//! The field gives only an approximate position, because its voxels are coarser than the points. The position `x` minimises
+//! the sum of `w (nᵀ(x - p))²` over the planar patches around it, where `p` is the mean of a patch and `n` its normal. The
+//! weight `w` rises with the number of points. It falls with the distance from the keypoint, the uncertainty of the normal,
+//! the thickness of the patch and the residual, so that outliers have little influence (Geman and McClure 1985).
 //!
-//! The inverse of `A = sum of w n nᵀ`, times the variance of the residuals, is the covariance of that place. Along each of its axes the
-//! keypoint moves as far as the planes are to be trusted beside the field, and not at all where they leave a direction open. What the
-//! field's place adds to the covariance is known too. All of it depends on the points near a keypoint alone: tiles have the same bits.
+//! The covariance of `x` is the inverse of `A = sum of w n nᵀ`, times the variance of the residuals. Along each eigenvector the
+//! keypoint moves by a gain that weighs the planes against the field; along an open direction it stays. The covariance includes
+//! the error of the field's position. The result depends only on the points near the keypoint, so tiles give the same bits.
 
 mod patches;
 #[cfg(test)]
@@ -25,88 +25,88 @@ use crate::field::Field;
 use crate::options::Preference;
 use snake_geometry::{Covariance, Point, Vector, resolution, vector};
 
-/// The radius in voxels: of a scene, whose voxels are about as wide as the distance of its points, and of an object.
+/// Radius of the neighbourhood in voxels, for scenes and objects. Voxels of a scene are about as wide as its point spacing.
 const RADIUS: [f32; 2] = [5.0, 2.2];
-/// Cells of patches are as wide as this share of the radius, by default and for corners of objects, ...
+/// Side of a cell of patches as a share of the radius: by default, and for objects if corners are preferred.
 const SIDES: [f32; 2] = [0.25, 0.2];
-/// ... and patches have points within this share.
+/// A patch takes points within this share of the radius.
 const REACH: f32 = 0.5;
-/// Where the cells near have less than this area, in squares of the radius, the radius grows, ...
+/// The radius grows where the occupied cells within it cover less than this area, in squares of the radius.
 const SMALL_AREA: f32 = 3.2;
-/// ... up to this many times.
+/// Largest factor by which the radius grows.
 const MAX_GROWTH: f32 = 1.6;
-/// Where a cell of patches of a scene has fewer points than this, as in a thinned sweep, they know nothing finer than the field.
+/// Planes do not localize a keypoint of a scene whose nearby cells have fewer points on average, as in a thinned sweep.
 const MIN_DENSITY: f64 = 1.9;
-/// The weight that holds a keypoint, as a share of all weights.
+/// Weight of the regularization that holds a keypoint in place, as a share of all weights.
 const HOLD: f64 = 0.02;
-/// The residual, as a share of the radius, at which a patch counts a quarter, in each round: less and less of other surfaces.
+/// Residual at which a patch's weight falls to a quarter, by round, as a share of the radius. It shrinks to exclude other surfaces.
 const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
-/// The uncertainty of a normal, in radians, at which a patch counts half.
+/// Standard deviation of a normal, in radians, at which the weight of its patch is halved.
 const TILT: f64 = 0.1;
-/// The ratio of the variances across and along a patch at which it counts a quarter: it lies across an edge.
+/// Ratio of the variances across and along a patch at which its weight falls to a quarter: such a patch lies across an edge.
 const FLATNESS: f64 = 0.1;
-/// Values of [`Place::corner`] that make a difference in rank.
+/// Range within which [`Place::corner`] affects the rank.
 const CORNERS: [f32; 2] = [0.005, 0.2];
-/// A direction is open if less than this share of the weights is along it.
+/// A direction is open if its eigenvalue is at most this share of the weights.
 const OPEN: f64 = 0.005;
-/// A keypoint moves half the way along a direction that planes know to this share of the radius, 0.25 voxels of a scene and 0.09 of an
-/// object: the field finds its own place again about as well.
+/// Standard deviation of the planes' position at which a keypoint moves half the way, as a share of the radius:
+/// 0.25 voxels of a scene and 0.09 of an object. The field repeats its own position about as precisely.
 const FIELD_DEVIATION: [f64; 2] = [0.05, 0.04];
-/// The standard deviation of the field's place from the one that the planes mean, as a share of the radius.
+/// Standard deviation of the field's position relative to that of the planes, as a share of the radius.
 const FIELD_BIAS: f64 = 0.3;
-/// An edge is known to this many voxels across, and not to that many along.
+/// At an edge, two standard deviations are below the first value and the third, along the edge, is above the second, in voxels.
 const EDGE: [f32; 2] = [0.3, 0.6];
-/// The ratio of the variances across and along the points within the radius below which they are a wall: at an edge it is 0.25.
+/// The points within the radius form a wall if the ratio of their variances across and along is below this. An edge has 0.25.
 const WALL: f32 = 0.19;
-/// Points of an object that are asked, at most.
+/// Number of points of an object that are used, at most.
 const MANY: usize = 8_192;
-/// Points are dense if nearest ones are closer than this many voxels, on average.
+/// Points are dense if the mean distance to the nearest point is at most this many voxels.
 const DENSE: f64 = 0.35;
 /// Points show the surface if more than this share of their patches is certain.
 const SHOWN: f32 = 0.25;
-/// So many patches are asked, about.
+/// Number of patches that are checked, at most.
 const SURVEY: usize = 256;
 /// Smallest standard deviation of the residuals, as a share of the radius: `f32` has no finer positions far from the origin.
 const MIN_RESIDUAL: f64 = 1e-4;
 
-/// A position by the points around it.
+/// A keypoint's position as the points around it determine it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
     pub(crate) position: Point,
     pub(crate) covariance: Covariance,
-    /// The standard deviations of the place that planes mean, along three directions, in cloud units; infinite along those that are
-    /// open.
+    /// Standard deviations of the planes' position along three directions, in cloud units; infinite
+    /// along open directions.
     pub(crate) deviations: [f32; 3],
-    /// The share of the weights along the direction that is known least: a third at the corner of a cube, about 0 where a
-    /// direction is open.
+    /// Share of the weights along the least determined direction, times its gain: about a third at
+    /// the corner of a cube, 0 where a direction is open.
     pub(crate) corner: f32,
-    /// The ratio of the variances of the points within the radius, across and along them.
+    /// Ratio of two variances of the patches' anchors within the radius: across their plane, and the smaller one along it.
     pub(crate) flatness: f32,
 }
 
 impl Place {
-    /// What a keypoint is ranked by: corners are found again more often than edges and walls of the same saliency. A place of which
-    /// nothing is known ranks by its score.
+    /// The rank of a keypoint. Corners rank higher, because they are found again more often than edges
+    /// and walls of the same saliency. A place that the points do not determine ranks by its score.
     pub(crate) fn rank(&self, score: f32) -> f32 {
         let [least, most] = CORNERS;
         score * (self.corner.clamp(least, most) / least).sqrt()
     }
 
-    /// Whether the points leave open where it lies: on a wall, or along a straight edge. Another view finds it again by chance, as
-    /// one of those that stand in a row.
+    /// Whether the points do not fix the position, as on a wall or along a straight edge. Such
+    /// keypoints stand in a row, and another view finds the same one only by chance.
     pub(crate) fn is_one_of_many(&self, voxel_size: f32) -> bool {
         let mut deviations = self.deviations.map(|deviation| deviation / voxel_size);
         deviations.sort_by(f32::total_cmp);
         self.flatness < WALL || deviations[1] < EDGE[0] && deviations[2] > EDGE[1]
     }
 
-    /// A position of which nothing is known.
+    /// A position that the points do not determine.
     pub(crate) fn unknown(position: Point) -> Self {
         Self { position, covariance: Covariance::UNKNOWN, deviations: [f32::INFINITY; 3], corner: 0.0, flatness: 1.0 }
     }
 }
 
-/// Points that show where keypoints lie.
+/// The points that localize keypoints, and the anchors of their patches.
 pub(crate) struct Surroundings<'a> {
     points: Cow<'a, [Point]>,
     anchors: Anchors,
@@ -115,7 +115,7 @@ pub(crate) struct Surroundings<'a> {
 }
 
 impl<'a> Surroundings<'a> {
-    /// All points of a scene; of an object every second, third and so on if it has too many.
+    /// Takes all points of a scene, and every second, third or later point of an object that has too many.
     pub(crate) fn of(field: &'a Field, prefer: Preference) -> Self {
         let (points, normalization) = (field.points(), field.normalization());
         let is_scene = field.lattice().is_scene();
@@ -124,13 +124,13 @@ impl<'a> Surroundings<'a> {
         let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
         let points: Cow<[Point]> =
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
-        // The cells lie in the frame of the network, so that a moved scene has the same.
+        // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
         let anchors = first_of_cells(&points, side, place);
         Self { anchors: Anchors { is_scene, ..anchors }, points, radius }
     }
 
-    /// Their planar patches.
+    /// The planar patches of the points.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for more points than [`u32::MAX`].
@@ -139,11 +139,11 @@ impl<'a> Surroundings<'a> {
     }
 }
 
-/// Whether points show the surface between voxels: they are dense, and enough patches are flat, with certain normals. Thin bodies
-/// have patches with points of both sides, which are not flat; points with noise hardly have any that are.
+/// Whether the points show the surface more finely than voxels do: they are dense, and enough patches are flat with certain
+/// normals. On thin bodies, patches contain points of both sides and are not flat. Noisy points have hardly any flat patches.
 ///
 /// # Errors
-/// [`crate::Error::Input`] when a coordinate is not finite.
+/// [`crate::Error::Input`] when no point is finite, or for more points than [`u32::MAX`].
 pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> {
     if resolution("points", patches.points())? > DENSE * f64::from(voxel_size) {
         return Ok(false);
@@ -155,7 +155,7 @@ pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> 
     Ok(certain as f32 > SHOWN * asked.len() as f32)
 }
 
-/// Where keypoints lie exactly.
+/// Localizes keypoints on the planar patches around them.
 pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
     keypoints.par_iter().map(|keypoint| place(patches, *keypoint)).collect()
 }
@@ -192,7 +192,7 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
 struct Planes {
     weight: f64,
     squared_weight: f64,
-    /// Weights times the shares of points that no other patch has.
+    /// Sum of the weights times the share of a patch's points that no other patch has.
     own_weight: f64,
     squared_residual: f64,
     normals: Matrix3<f64>,
@@ -222,14 +222,14 @@ impl Planes {
         sums
     }
 
-    /// The position nearest to the planes, from the one that the sums are relative to; `None` without planes.
+    /// The position nearest to the planes, where `at` is the origin of the sums; `None` without planes.
     fn nearest(&self, at: &Point) -> Option<Vector> {
         let system = self.normals / self.weight + Matrix3::identity() * HOLD;
         let inverse = system.try_inverse().filter(|_| self.weight > 0.0)?;
         Some(vector(*at) + inverse * (self.target / self.weight))
     }
 
-    /// The place of a keypoint that moves to a position along the directions that the planes do not leave open.
+    /// The place of a keypoint after it moved towards `nearest` along the directions that the planes fix.
     fn place(&self, keypoint: Vector, nearest: Vector, radius: f64, field_deviation: f64) -> Place {
         let number = self.weight * self.own_weight / self.squared_weight;
         let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * radius);

@@ -1,4 +1,4 @@
-//! Planar patches of a cloud, of as many points as make the normal certain.
+//! Planar patches of a cloud. Each patch takes the number of points that makes its normal most certain.
 
 use std::collections::HashMap;
 use std::sync::OnceLock;
@@ -9,26 +9,26 @@ use super::{MAX_GROWTH, REACH};
 use crate::Result;
 use snake_geometry::{Point, RadiusCells, Vector, eigen, vector};
 
-/// Numbers of nearest points of a patch. The one whose normal is most certain is taken: dense points and points with noise need more
-/// of them, and so do points on beams, whose nearest neighbours lie on a line. Edges need fewer.
+/// Numbers of nearest points that are tried for a patch; the one with the most certain normal is taken. Dense points,
+/// noisy points and points on beams, whose nearest neighbours lie on a line, need more points. Edges need fewer.
 const SIZES: [usize; 4] = [12, 24, 48, 96];
 
 /// A normal is certain if its standard deviation is below this, in radians.
 const MAX_TILT: f64 = 0.1;
 
-/// No more points are tried for a flat patch whose normal has this standard deviation, in radians.
+/// No more points are tried once a flat patch has a normal of a smaller standard deviation than this, in radians.
 const ENOUGH: f64 = 0.03;
 
-/// A patch is flat if the variance across it is below this share of the smaller one along it. At an edge it is about a quarter.
+/// A patch is flat if the variance across it is below this share of the smaller variance along it. An edge has about a quarter.
 const MAX_FLATNESS: f64 = 0.15;
 
-/// Fewer points have no plane.
+/// Smallest number of points that determine a plane.
 const MIN_POINTS: usize = 6;
 
-/// Smallest ratio of the variances along a patch: points on one beam have no plane.
+/// Smallest ratio of the two variances along a patch. Points on one beam have less and do not determine a plane.
 const MIN_WIDTH: f64 = 0.05;
 
-/// The first and the second search take about so many points; the last one all that are within reach.
+/// The first and the second search find about these numbers of points; the last search finds all points within reach.
 const SEARCHED: [f32; 2] = [36.0, 144.0];
 
 /// The plane through some points, relative to a point of the cloud.
@@ -41,7 +41,7 @@ pub(super) struct Patch {
     pub(super) tilt: f64,
     /// The ratio of the variance across the patch to the smaller one along it.
     pub(super) flatness: f64,
-    /// The share of its points that lie in the anchor's cell, at most 1: neighbouring patches have the others too.
+    /// Share of its points that lie in the anchor's cell, at most 1. Neighbouring patches share the other points.
     pub(super) own: f64,
 }
 
@@ -52,18 +52,18 @@ impl Patch {
     }
 }
 
-/// Where patches lie.
+/// The points around which patches are fitted.
 #[derive(Default)]
 pub(super) struct Anchors {
     pub(super) points: Vec<Point>,
     /// The side of a cell.
     pub(super) side: f32,
-    /// How many points of the cloud are in the cell of each.
+    /// Number of points of the cloud in the cell of each anchor.
     pub(super) counts: Vec<u32>,
     pub(super) is_scene: bool,
 }
 
-/// The first point of each cubic cell of a cloud, by where points lie in the frame of the cells.
+/// The first point of each cubic cell of a cloud. `place` maps a point to the frame of the cells.
 pub(super) fn first_of_cells(points: &[Point], side: f32, place: impl Fn(Point) -> Point) -> Anchors {
     let (mut cells, mut anchors) = (HashMap::new(), Anchors { side, ..Anchors::default() });
     for point in points {
@@ -81,9 +81,9 @@ pub(super) fn first_of_cells(points: &[Point], side: f32, place: impl Fn(Point) 
 /// The patches at some points of a cloud, each computed when it is first needed.
 pub(crate) struct Patches<'a> {
     points: RadiusCells<'a>,
-    /// Rising radii of searches for points.
+    /// Radii of the searches for points, ascending.
     searches: Vec<f32>,
-    /// The radius within which they determine a place.
+    /// The radius within which patches determine a place.
     pub(super) radius: f32,
     /// The side of a cell.
     pub(super) side: f32,
@@ -94,7 +94,7 @@ pub(crate) struct Patches<'a> {
 }
 
 impl<'a> Patches<'a> {
-    /// The patches at anchors, for places that planes within `radius` determine.
+    /// The patches at the anchors. Planes within `radius` determine a place.
     pub(super) fn new(points: &'a [Point], anchors: &'a Anchors, radius: f32) -> Result<Self> {
         let (side, reach) = (anchors.side, REACH * radius);
         let in_cell = points.len() as f32 / anchors.points.len().max(1) as f32;
@@ -117,7 +117,7 @@ impl<'a> Patches<'a> {
         self.points.points()
     }
 
-    /// The patch at an anchor; `None` where too few points are near.
+    /// The patch at an anchor; `None` where too few points are near, or where they lie on a line.
     pub(super) fn at(&self, anchor: usize) -> Option<Patch> {
         *self.patches[anchor]
             .get_or_init(|| self.fitted(&self.anchors.points()[anchor], f64::from(self.counts[anchor])))
@@ -149,7 +149,7 @@ impl<'a> Patches<'a> {
         best
     }
 
-    /// The squared distances of the points within a radius, and their indices, as numbers that rise with the distance.
+    /// The squared distance and the index of each point within a radius, packed into a number that rises with the distance.
     fn near(&self, at: &Point, radius: f32) -> Vec<u64> {
         let mut near = Vec::new();
         self.points.within(at, radius, |index| {
@@ -165,7 +165,7 @@ impl<'a> Patches<'a> {
     }
 }
 
-/// Moves so many of the nearest points to the front.
+/// Moves the `number` nearest points to the front.
 fn put_nearest_first(near: &mut [u64], number: usize) {
     if number < near.len() {
         near.select_nth_unstable(number);
@@ -187,7 +187,7 @@ impl Sums {
         self.products += offset * offset.transpose();
     }
 
-    /// The plane of least squares, at an anchor with so many points in its cell; `None` for few points, and for points on a line.
+    /// The least-squares plane, for an anchor with `in_cell` points in its cell; `None` for few points, and for points on a line.
     pub(super) fn plane(&self, in_cell: f64) -> Option<Patch> {
         let count = self.count as f64;
         let mean = self.offsets / count;

@@ -1,4 +1,4 @@
-//! Corners, edges, planes and plates of known places.
+//! Localization on corners, edges, planes and plates at known positions.
 
 use nalgebra::{Matrix3, Rotation3};
 
@@ -44,7 +44,7 @@ fn a_corner_with_noise_is_found_within_its_covariance() {
             let start = [noise(i, 91), noise(i, 92), noise(i, 93)].map(|v| 0.25 * v);
             let place = localized(&points, start);
             let error = vector(place.position);
-            // Where the points have much noise, the place is partly the field's.
+            // With much noise, the place is partly that of the field.
             let is_known = sigma > 0.005 || place.corner > 0.1 && error.norm() < 2.0 * f64::from(sigma + 0.2 * spacing);
             assert!(is_known && place.corner > 0.0, "{spacing} {sigma}: {error}");
             assert!(distance(place.position, start) <= 0.25 * MAX_GROWTH, "{place:?}");
@@ -89,7 +89,7 @@ fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_are_not()
 
 #[test]
 fn a_thin_plate_keeps_its_sides_apart() {
-    // The border of cells lies at different heights in a plate.
+    // The plate lies at different heights relative to the borders of cells.
     for low in (0..20).map(|i| i as f32 * 0.006) {
         let plate = corner(1, 0.02, 0.002).into_iter().flat_map(|[x, y, z]| [[x, y, z + low], [x, y, z + low + 0.1]]);
         let plate: Vec<Point> = plate.collect();

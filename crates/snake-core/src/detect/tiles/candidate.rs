@@ -3,7 +3,7 @@
 use super::Counts;
 use snake_geometry::{Covariance, Point};
 
-/// A voxel's query above the saliency threshold, after mode seeking and localization, that suppression has not removed yet.
+/// A query of a voxel above the saliency threshold, after mode seeking and localization and before suppression.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// Position in cloud units, relative to the origin of the whole cloud.
@@ -16,15 +16,15 @@ pub struct Candidate {
     pub confidence: Option<f32>,
     /// Covariance of the position.
     pub covariance: Covariance,
-    /// What candidates are ranked by: the score, and after localization also what the points determine.
+    /// The rank: the score, after localization weighted by how well the points determine the position.
     pub rank: f32,
-    /// Saliency in [0, 1] where it started; the score without mode seeking.
+    /// Saliency in [0, 1] at the start of mode seeking; the score without mode seeking.
     pub start: f32,
-    /// The voxel where it started, along x, y and z.
+    /// The voxel of the start, along x, y and z.
     pub cell: [i32; 3],
 }
 
-/// The candidates of a tile, by their cells' z, then y, then x.
+/// The candidates of a tile, ordered by z, then y, then x of their cells.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TileCandidates {
     /// The candidates.
@@ -33,13 +33,13 @@ pub struct TileCandidates {
     pub counts: Counts,
 }
 
-/// The rank of candidates, best first: by their ranks, the saliency where they started, and their cells' z, then y, then x.
+/// Orders candidates best first: by rank, then by saliency at the start, then by z, y and x of the cell.
 pub fn by_rank(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
     let by_score = b.rank.total_cmp(&a.rank).then(b.start.total_cmp(&a.start));
     by_score.then(by_place(a).cmp(&by_place(b)))
 }
 
-/// The order of the voxels of a scene.
+/// The sort key that gives the order of a scene's voxels.
 pub(super) fn by_place(candidate: &Candidate) -> [i32; 3] {
     let [x, y, z] = candidate.cell;
     [z, y, x]

@@ -1,10 +1,10 @@
 //! Detection of one tile of a cloud that is too large for memory. Tiles give the keypoints of the whole cloud, bit for bit.
 //!
-//! The voxels of a scene lie on a lattice that begins below the lowest corner of the whole cloud. A tile owns whole columns along
-//! x and y, as wide as a block of the network's coarsest level. The output of the network at a voxel depends on the points of its
-//! column and of [`PlacedDetector::halo`] columns around it. Mode seeking looks at candidates of some columns more
-//! ([`PlacedDetector::margin`]). The candidates of all tiles are suppressed together ([`PlacedDetector::fates`]), which says where
-//! a tile must know more of its neighbours.
+//! The voxels of a scene lie on a lattice that begins below the lowest corner of the whole cloud. A tile owns
+//! whole columns along x and y, as wide as a block of the network's coarsest level. The output of the network at
+//! a voxel depends on the points of its column and of [`PlacedDetector::halo`] columns around it. Mode seeking
+//! uses the candidates of some more columns ([`PlacedDetector::margin`]). [`PlacedDetector::fates`] suppresses
+//! the candidates of all tiles together and tells where a tile needs more candidates of its neighbours.
 
 mod candidate;
 mod placed;
@@ -28,7 +28,7 @@ use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 use snake_kernels::BLOCK_SIDE;
 
-/// A scene model with options for the tiles of a cloud. [`TileDetector::place`] makes it one of a certain cloud.
+/// A scene model with options for detection in tiles. [`TileDetector::place`] adapts it to one cloud.
 #[derive(Debug, Clone)]
 pub struct TileDetector {
     network: Arc<Network>,
@@ -45,7 +45,7 @@ pub struct TileSettings {
 }
 
 impl TileDetector {
-    /// A detector of tiles of a network, see [`TileDetector::new`].
+    /// A tile detector for a network, see [`TileDetector::new`].
     pub(crate) fn for_network(network: Arc<Network>, options: &Options) -> Result<Self> {
         let name = network.metadata.get("name").map_or("a model of objects", String::as_str);
         network.config.volume.check_tiles(name)?;
@@ -63,8 +63,8 @@ impl TileDetector {
         self.options.encode.voxel_size.is_none()
     }
 
-    /// Chooses the voxel size for all finite points of the cloud, as [`Model::encode`](crate::Model::encode) does. It then stands
-    /// in the options.
+    /// Chooses the voxel size for all finite points of the cloud, as
+    /// [`Model::encode`](crate::Model::encode) does, and stores it in the options.
     ///
     /// # Errors
     /// [`Error::Input`] for a cloud without extent.
@@ -93,17 +93,17 @@ impl TileDetector {
         Ok(column_side(&self.network, self.voxel_size()?))
     }
 
-    /// Whether a length of the options is in resolutions of the cloud.
+    /// Whether the options give a length in multiples of the cloud's resolution.
     pub fn needs_resolution(&self) -> bool {
         let lengths = [self.options.detect.nms_radius, self.options.detect.mode_radius];
         lengths.iter().any(|length| matches!(length, Some(Length::Resolutions(_))))
     }
 
-    /// The detector of the tiles of a cloud, of whose finite points these are the lowest and the highest coordinate along each
-    /// axis. The lattice begins at the lowest corner, and with it the columns.
+    /// The detector for the tiles of one cloud. `low` and `high` are the lowest and the highest coordinates
+    /// of its finite points along each axis. The lattice and its columns begin at the lowest corner.
     ///
-    /// Lengths in `r` are multiples of the [resolution](snake_geometry::resolution) of the whole cloud. Without one, they count as
-    /// none: the result then only tells which points are in which columns.
+    /// Lengths in `r` are multiples of the [resolution](snake_geometry::resolution) of the whole cloud.
+    /// Without it they are ignored, and the detector only tells which points are in which columns.
     ///
     /// # Errors
     /// [`Error::Option`] without a voxel size, and for a length out of its range.
@@ -128,7 +128,7 @@ impl TileDetector {
         })
     }
 
-    /// The model and the options, which decide the candidates of a tile together with the cloud.
+    /// The model and the options. Together with the cloud they decide the candidates of a tile.
     pub fn settings(&self) -> TileSettings {
         TileSettings { model: self.network.digest.clone(), options: self.options }
     }
@@ -139,7 +139,7 @@ impl TileDetector {
     }
 }
 
-/// Voxels along the side of a column: a block of the coarsest level.
+/// Number of voxels along the side of a column, which is one block of the coarsest level.
 fn voxels_of_column(network: &Network) -> i32 {
     (BLOCK_SIDE as i32) << (network.config.unet_levels - 1)
 }

@@ -1,4 +1,4 @@
-//! The detector of the tiles of a certain cloud.
+//! The detector for the tiles of one cloud.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,13 +16,13 @@ use crate::options::{Options, Radii};
 use crate::{Error, Result};
 use snake_geometry::{Covariance, Fate, Normalization, Point, by_falling_score, check_points, suppress_seen};
 
-/// The number of columns around a tile whose points its voxels depend on.
+/// Number of columns around a tile that contain all points on which its voxels depend.
 ///
-/// The receptive field is 79 voxels in each direction, counting blocks that exist only because a neighbour has points. That is
-/// less than five blocks of the coarsest level. The planes that localize a keypoint are nearer.
+/// The receptive field is 79 voxels in each direction, counting blocks that exist only because a neighbour has
+/// points. That is less than five blocks of the coarsest level. The planes that localize a keypoint lie closer.
 const HALO: i32 = 5;
 
-/// A scene model with options for the tiles of a certain cloud. All points are relative to the origin of the whole cloud.
+/// A scene model with options for the tiles of one cloud. All points are relative to the origin of the whole cloud.
 #[derive(Debug, Clone)]
 pub struct PlacedDetector {
     pub(super) network: Arc<Network>,
@@ -84,24 +84,24 @@ impl PlacedDetector {
         [0, 1].map(|axis: usize| voxel[axis].div_euclid(voxels_of_column(&self.network)))
     }
 
-    /// The number of columns around a tile whose points its candidates depend on.
+    /// Number of columns around a tile that contain all points on which its candidates depend.
     pub fn halo(&self) -> i32 {
         HALO
     }
 
-    /// The number of columns around a tile with the candidates that mode seeking needs, unless chains of candidates are
-    /// longer, see [`PlacedDetector::detect`].
+    /// Number of columns around a tile whose candidates mode seeking needs. Long chains of
+    /// candidates need more, see [`PlacedDetector::detect`].
     pub fn margin(&self) -> i32 {
         let columns =
             |radius: f32| (f64::from(SHIFT * radius) / column_side(&self.network, self.voxel_size)).ceil() as i32;
         self.radii.mode.map_or(0, |radius| columns(radius).max(1))
     }
 
-    /// The candidates of the voxels in the columns `[x, y]` of `tile`, unless mode seeking needs a larger margin: it moves the
-    /// most salient candidates that are some distance apart, and each choice can depend on a chain of others.
+    /// Finds the candidates of the voxels in the columns `[x, y]` of `tile`, unless mode seeking needs a larger margin: it
+    /// moves the most salient candidates that are some distance apart, and each choice can depend on a chain of others.
     ///
-    /// `points` are all finite points in these columns and in `margin` and [`PlacedDetector::halo`] columns around them, in the order
-    /// of the whole cloud. More points do no harm. `is_whole` says that no points of the cloud are farther than the margin.
+    /// `points` are all finite points in these columns and in the `margin` and [`PlacedDetector::halo`] columns around them, in
+    /// the order of the whole cloud; more points are allowed. `is_whole` says that the cloud has no points beyond the margin.
     ///
     /// # Errors
     /// The errors of [`Model::detect_with`](crate::Model::detect_with).
@@ -167,8 +167,8 @@ impl PlacedDetector {
         self.column(point).is_ok_and(|column| contain(columns, column))
     }
 
-    /// The candidates of a tile after mode seeking; `None` if a choice depends on candidates beyond. `candidates` are those of the
-    /// columns `seen`, or of the whole cloud.
+    /// The candidates of a tile after mode seeking; `None` if a choice depends on unseen candidates.
+    /// `candidates` are those of the columns `seen`; without `seen`, those of the whole cloud.
     fn modes(
         &self,
         candidates: &[Candidate],
@@ -204,7 +204,7 @@ impl PlacedDetector {
             let at = f64::from(point[axis]);
             let ends = [columns[axis].start, columns[axis].end];
             let [low, high] = ends.map(|column| self.corner_of_column([column; 2])[axis]);
-            // The column of a point is computed in `f32`.
+            // The column of a point is computed in `f32`, so the reach includes its rounding error.
             let reach = reach + 1e-6 * at.abs();
             at - reach > low && at + reach < high
         })
@@ -215,8 +215,8 @@ impl PlacedDetector {
         f64::from(self.radii.nms) * (1.0 + 1e-5)
     }
 
-    /// The fate of each candidate of a part of the cloud. `sees_all` tells whether the part has all candidates within
-    /// [`PlacedDetector::suppression_reach`] of one. Candidates are ranked by [`by_rank`].
+    /// What suppression does with each candidate of a part of the cloud. `sees_all` tells whether the part has all
+    /// candidates within [`PlacedDetector::suppression_reach`] of a candidate. Candidates are ranked by [`by_rank`].
     ///
     /// # Errors
     /// [`Error::Input`] for more candidates than [`u32::MAX`].
@@ -235,7 +235,7 @@ fn contain(columns: &[Range<i32>; 2], [x, y]: [i32; 2]) -> bool {
     columns[0].contains(&x) && columns[1].contains(&y)
 }
 
-/// Adds to the error of a volume that is too large that smaller tiles help.
+/// Adds the advice to use smaller tiles to the error about a volume that is too large.
 fn advised(error: Error) -> Error {
     match error {
         Error::Option { name: "voxel_size", value, allowed } => {

@@ -1,4 +1,4 @@
-//! A detector of tiles refuses what it cannot take. `snake-tiles` compares the keypoints of tiles with those of whole clouds.
+//! Tile detectors refuse what they cannot use. `snake-tiles` compares the keypoints of tiles and of whole clouds.
 
 use super::*;
 use crate::{Builtin, Model};
