@@ -24,7 +24,7 @@ use crate::timing::{STAGES, Seconds};
 use args::DetectArguments;
 use reports::{Processed, Reports};
 
-/// The most keypoints that the printed table shows.
+/// Number of keypoints in the printed table, at most.
 const TABLE_ROWS: usize = 10;
 
 /// Processes every input. A failed input is reported, and the run continues.
@@ -123,7 +123,7 @@ struct Job<'a> {
     control: &'a Control,
 }
 
-/// A cloud with where it comes from and where its keypoints go.
+/// A cloud with its source and the destination of its keypoints.
 struct Item<'a> {
     input: &'a Path,
     /// The name in messages.
@@ -134,7 +134,7 @@ struct Item<'a> {
     contents: Contents,
     /// When reading began.
     start: Instant,
-    /// Where a hint may be printed.
+    /// The progress bar, which is suspended while a hint is printed.
     bar: &'a Bar,
 }
 
@@ -156,12 +156,12 @@ impl Job<'_> {
         let origin = chosen.origin;
         let num_points = cloud.points.len();
         bar.suspend(|| detail_of(&chosen));
-        // Each note is printed once a run, with the first cloud; `--json` has it for each.
+        // Each note is printed once per run, for the first cloud that has it; `--json` reports it for every cloud.
         let mut add_notes = |more: Vec<String>| {
             bar.suspend(|| terminal::hints_once(name, &more));
             notes.extend(more);
         };
-        // Before the detection, which may take minutes at the wrong scale.
+        // These notes come before the detection, which may take minutes at the wrong scale.
         add_notes(chosen.notes());
         let detection = chosen.detect(control).with_context(|| name.to_owned())?;
         add_notes(detection.note(&chosen.options.detect).into_iter().collect());
@@ -197,7 +197,7 @@ impl Job<'_> {
 fn adds_origin(output: &Path, format: Option<KeypointFormat>) -> bool {
     match format {
         Some(format) => format != KeypointFormat::Pcd,
-        // The standard output gets a PLY, which does.
+        // The standard output gets a PLY, to which the origin is added.
         None => io::adds_origin(output),
     }
 }

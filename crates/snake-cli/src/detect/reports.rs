@@ -13,7 +13,7 @@ use crate::terminal::{self, Bar, Report};
 use crate::timing::{self, Seconds};
 use crate::{ERROR, FAILURE, SUCCESS};
 
-/// The most inputs that a line at the end of a run names.
+/// Number of inputs that a line at the end of a run names, at most.
 const NAMED_INPUTS: usize = 10;
 
 /// How a report is printed: to the standard output, or elsewhere if that carries the keypoints.
@@ -32,7 +32,7 @@ struct Summary {
     start: Instant,
     num_clouds: usize,
     num_points: usize,
-    /// Keypoints of all clouds, and the fewest and most of one.
+    /// Number of keypoints: of all clouds, the fewest of one cloud, and the most of one cloud.
     num_keypoints: [usize; 3],
     /// The clouds without keypoints.
     empty: Vec<String>,
@@ -80,7 +80,7 @@ impl Summary {
     }
 }
 
-/// The first names.
+/// The first names as a list, with `…` if there are more.
 fn listed(names: &[String]) -> String {
     let more = if names.len() > NAMED_INPUTS { ", …" } else { "" };
     names[..names.len().min(NAMED_INPUTS)].join(", ") + more
@@ -98,9 +98,9 @@ pub struct Reports<'a> {
     num_reported: usize,
     failed: Vec<String>,
     timings: Vec<Seconds>,
-    /// For several inputs whose keypoints are written to files: their sum instead of their reports.
+    /// Replaces the reports of several inputs if their keypoints are written to files.
     summary: Option<Summary>,
-    /// The first error of the standard output.
+    /// The first error of writing to the standard output.
     unprinted: Option<Error>,
 }
 
@@ -112,8 +112,8 @@ impl<'a> Reports<'a> {
         Self { arguments, bar, waiting, num_reported: 0, failed, timings, summary, unprinted: None }
     }
 
-    /// Adds the result of an input and prints all results whose turn it is. Returns whether further results are needed;
-    /// they are not if they would only be printed and the standard output accepts no more data.
+    /// Adds the result of an input and prints all results whose turn it is. Returns whether further results are
+    /// needed. They are not needed if they would only be printed and the standard output accepts no more data.
     pub fn add(&mut self, index: usize, input: String, output: Option<&Path>, result: Result<Processed>) -> bool {
         // With `-o -` the standard output carries only the keypoints.
         let print: Print = match output {

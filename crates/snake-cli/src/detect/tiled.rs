@@ -74,7 +74,7 @@ pub fn run(arguments: &DetectArguments, inputs: &[PathBuf], side: f64, output: &
     Ok(SUCCESS)
 }
 
-/// Refuses arguments that do not go with tiles.
+/// Refuses arguments that cannot be combined with tiles.
 fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Result<()> {
     if inputs.iter().any(|input| input == Path::new(DASH)) || output == Path::new(DASH) {
         bail!("--tile reads its inputs twice and needs files; the standard input and output cannot be used");
@@ -91,7 +91,7 @@ fn check(arguments: &DetectArguments, inputs: &[PathBuf], output: &Path) -> Resu
     InputFiles::new(inputs.iter().chain(&arguments.compute.model)).refuse_as_output(output)
 }
 
-/// Detects the tiles without a result. Returns how many of them failed.
+/// Detects the tiles that have no result yet. Returns how many of them failed.
 fn detect(run: &TiledRun, folder: &Path) -> Result<usize> {
     let points = |tiles: &mut dyn Iterator<Item = &Tile>| tiles.map(|tile| tile.num_points).sum::<u64>();
     let all = points(&mut run.tiles().iter());
