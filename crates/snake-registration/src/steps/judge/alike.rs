@@ -1,5 +1,5 @@
-//! Motions under which a cloud looks like itself: a step of spiral stairs, the pitch of a row, a storey,
-//! a half turn of a room.
+//! Motions under which a cloud is self-similar: a step of spiral stairs, the pitch of a row, a
+//! storey, a half turn of a room.
 
 use super::constants::{ELSEWHERE, FEW_PLACES, MAX_SLIDE_TURN, REPEAT_PARALLEL};
 use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
@@ -12,15 +12,15 @@ use crate::steps::prepare::{PreparedCloud, SelfMotion};
 use snake_core::{Control, Result};
 use snake_geometry::{Vector, vector};
 
-/// Number of motions under which a cloud looks like itself, at most. Set for time.
+/// Number of motions under which a cloud is self-similar, at most. Set for time.
 const SELF_MOTIONS: usize = 10;
 
 /// Number of places that are compared with all others at once: a map has many.
 const CHUNK: usize = 64;
 
-/// The motions of a cloud onto itself on which matches of its descriptors with its own places elsewhere agree,
-/// each with the share of the matches, the best supported first; `signed` as in [`describe_cloud`]. The cloud
-/// keeps them.
+/// The motions under which a cloud is self-similar, each with the share of its self-matches that
+/// agree, the best supported first. A self-match is one of descriptors at different places of the
+/// cloud; `signed` is as in [`describe_cloud`]. The cloud keeps the motions.
 pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[SelfMotion]> {
     let slot = &cloud.self_motions[usize::from(signed)];
     if slot.get().is_none() {
@@ -35,8 +35,8 @@ pub(super) fn self_motions(cloud: &PreparedCloud, signed: bool) -> Result<&[Self
     Ok(slot.get().map(Vec::as_slice).unwrap_or_default())
 }
 
-/// The support of all motions that turn about the axis of one, or slide along its direction. A ring of equal
-/// columns looks like itself after so many turns that few matches agree with each.
+/// The total support of all motions that rotate about the axis of a given one, or slide along its direction.
+/// A ring of equal columns is self-similar after so many rotations that few matches agree with each of them.
 pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f64>) -> f64 {
     let turns = |motion: &IsometryMatrix3<f64>| motion.rotation.angle() > MAX_SLIDE_TURN.to_radians();
     let direction = |motion: &IsometryMatrix3<f64>| match motion.rotation.axis() {
@@ -49,7 +49,7 @@ pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f6
     motions.iter().filter(is_like).map(|(_, support)| support).sum()
 }
 
-/// Some of the keypoints, each with the keypoint of the nearest descriptor that is not near it.
+/// Matches a sample of the keypoints, each with the keypoint of the nearest descriptor that is not near it.
 fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let points: Vec<Vector> = cloud.keypoints().into_iter().map(vector).collect();
     let squared_distance = (ELSEWHERE * cloud.lengths.inlier_distance).powi(2);

@@ -13,24 +13,24 @@ use crate::rigid::displacement;
 use crate::steps::refine::patches::refine_on_patches;
 use snake_core::{Counter, Result};
 
-/// Every so many of the places tell where exactly a shift fits. Unit: places. Set for time.
+/// Step between the places that determine where exactly a shift fits. Unit: places. Set for time.
 const SHIFT_THINNING: usize = 6;
-/// Number of steps to either side in which a shift is made exact. Half and twice change no outcome.
+/// Number of steps to either side of a shift in the search for its exact length. Half and twice change no outcome.
 const SHIFT_STEPS: i32 = 6;
-/// A shift is not made exact if fewer of the places lie on the target there, less those that contradict it. Unit: share
-/// of the places. Set for time.
+/// A shift is dropped if its score is below this: places that lie on the target there, less those
+/// that contradict it. Unit: share of the places. Set for time.
 const MIN_SHIFT_SCORE: f64 = 0.3;
-/// A rival that contradicts more, and explains less, is not refined. Unit: share of the places that the winner
-/// explains. Set for time.
+/// A rival that misses more places, and explains fewer in all, is not refined. Unit: share of the
+/// places that the winner explains. Set for time.
 const HOPELESS: f64 = 0.5;
 
-/// The pair with what the comparison of two transforms needs.
+/// The pair and what the comparison of two transforms needs.
 pub(super) struct Comparison<'a, 'b> {
     fitting: Fitting<'a, 'b>,
     fine: [&'a FineCloud; 2],
     /// Places of the source on the target, in the target's frame.
     places: &'a [Place],
-    /// Places of both clouds, each with what the winner makes of it.
+    /// Places of both clouds, each with the vote of the winner: whether it explains the place.
     sample: [Vec<(Place, Option<bool>)>; 2],
     images: [Option<DepthImage>; 2],
 }
@@ -48,7 +48,7 @@ impl<'a, 'b> Comparison<'a, 'b> {
         comparison
     }
 
-    /// The rival near a transform that a turn, a reflection or a motion led to; `None` if it contradicts too much.
+    /// The rival near a transform from a rotation, a reflection or a motion; `None` if it contradicts too much.
     pub(super) fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
         let is_hopeless = counts.measure(Measure::OfAll) > HOPELESS && counts.measure(Measure::Lead) > 0.0;
@@ -97,7 +97,7 @@ impl<'a, 'b> Comparison<'a, 'b> {
         Ok(Some(Rival { transform, motion, counts: self.compare(&transform), is_standing, moved }))
     }
 
-    /// The winner and another transform, place by place.
+    /// Compares the winner with another transform, place by place.
     fn compare(&self, transform: &IsometryMatrix3<f64>) -> Counts {
         let mut counts = Counts::default();
         let transforms = [(*transform, *self.fitting.winner), (transform.inverse(), self.fitting.winner.inverse())];
@@ -120,8 +120,8 @@ impl<'a, 'b> Comparison<'a, 'b> {
         counts
     }
 
-    /// Whether two transforms bring a place to different places: a place on a plane that stays on it
-    /// does not tell.
+    /// Whether two transforms bring a place to different places. A place that stays on its plane
+    /// does not tell them apart.
     fn tells(&self, by_winner: &Place, by_rival: &Place) -> bool {
         let Some((normal, other)) = by_winner.normal.zip(by_rival.normal) else { return true };
         let offset = normal.dot(&(by_rival.point - by_winner.point)).abs();
@@ -130,7 +130,7 @@ impl<'a, 'b> Comparison<'a, 'b> {
     }
 
     /// Whether a place lies on a cloud (1 is the target) or contradicts it; `None` where the cloud
-    /// does not tell: nobody knows where the sensor of a model or of merged scans did not look.
+    /// does not tell. The view of a model or of merged scans is not known.
     fn explains(&self, place: &Place, cloud: usize) -> Option<bool> {
         let is_free = || self.images[cloud].as_ref().is_some_and(|image| image.sight(&place.point) == Sight::Free);
         self.fine[cloud]
@@ -139,7 +139,7 @@ impl<'a, 'b> Comparison<'a, 'b> {
     }
 }
 
-/// The offset, of `steps` to either side of 0, that fits best; of equals the middle one.
+/// The offset that fits best, up to `steps` to either side of 0; the middle one of equally good offsets.
 fn best_offset(fit: impl Fn(i32) -> i32, steps: i32) -> i32 {
     let fits: Vec<(i32, i32)> = (-steps..=steps).map(|offset| (fit(offset), offset)).collect();
     let best = fits.iter().map(|(fit, _)| *fit).max();

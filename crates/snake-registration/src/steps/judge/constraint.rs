@@ -6,14 +6,14 @@ use crate::cloud::patches::Overlap;
 use crate::cloud::planes::{NormalEquations, PlanePair};
 use snake_geometry::Vector;
 
-/// A patch constrains a motion whose cosine to its normal is above this: about 75 degrees. Normals of planar patches
-/// are better than that, those of slopes that a voxel does not show are not. Half and twice change no outcome.
+/// A patch constrains a motion if the cosine between motion and normal is above this (about 75 degrees). Normals of
+/// planar patches are better than that, normals of slopes below voxel size are not. Half and twice change no outcome.
 const MIN_MOTION_COSINE: f64 = 0.25;
 /// A direction of motion is open if patches resist at most this share of their squared motion. Unit: share of the
 /// squared motion. Half and twice change no outcome; rooms and streets have 0.03 to 0.2.
 const OPEN_DIRECTION: f64 = 5e-5;
-/// Where few points lie on patches, the overlap fixes all motions if slides fit worse by this. Slides fit worse by up
-/// to 0.04 in corridors and tunnels whose patches noise hides.
+/// If few points lie on patches, the overlap fixes all motions if slides fit worse by at least
+/// this. Slides fit worse by up to 0.04 in corridors and tunnels whose patches are hidden by noise.
 const FIXED_MARGIN: f64 = 0.07;
 
 /// The motions of the source that planar patches of the overlap resist.
@@ -27,9 +27,9 @@ pub(super) struct Constraint {
 }
 
 impl Constraint {
-    /// The constraint of an overlap. Where less than half of it lies on planar patches, as on thin,
-    /// rough or thinly sampled surfaces, slides that fit worse show that the rest fixes what the
-    /// patches leave open.
+    /// The constraint of an overlap. If less than half of it lies on planar patches, as on thin,
+    /// rough or sparsely sampled surfaces, slides with a worse fit show that the rest of the
+    /// surface fixes the motions that patches leave open.
     pub(super) fn from_overlap(overlap: &Overlap, slide_margin: f64) -> Self {
         if overlap.is_planar() || slide_margin < FIXED_MARGIN {
             Self::from_patches(&overlap.patches)
@@ -38,7 +38,7 @@ impl Constraint {
         }
     }
 
-    /// `patches` are planar: normals of other points, such as of three neighbours, are against
+    /// `patches` must be planar: normals of other points, such as those of three neighbours, resist
     /// motions that the surface leaves open.
     pub(super) fn from_patches(patches: &[PlanePair]) -> Self {
         let Some(equations) = NormalEquations::new(patches) else {

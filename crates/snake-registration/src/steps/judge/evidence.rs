@@ -6,8 +6,8 @@ use crate::result::{Fit, Matches};
 
 /// Another transform is a rival if its fit of the surfaces is above this share of the best fit. Set by hand.
 const RIVAL_FIT: f64 = 0.9;
-/// A rival has this share of the matches that agree with the best, each count raised by one. Half and twice change no
-/// outcome.
+/// A rival has at least this share of the number of matches that agree with the best, each number
+/// raised by one. Half and twice change no outcome.
 const RIVAL_AGREEING: f64 = 0.4;
 /// A weaker constraint is doubtful, however many matches agree. Unit: share of the squared motion. Half and twice
 /// change no outcome.
@@ -15,19 +15,19 @@ const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 /// Matches with a smaller spread lie on one plane or line and do not fix a transform, however many agree. Unit: inlier
 /// distances. Half and twice change no outcome.
 const MIN_MATCH_SPREAD: f64 = 0.25;
-/// Share of the patches that coincide under a right transform. Right transforms of sweeps have 0.85 and more, wrong
-/// ones 0.75 and less.
+/// Smallest share of patches that coincide under a correct transform. Correct transforms of sweeps
+/// have 0.85 and more, wrong ones 0.75 and less.
 const MIN_COINCIDING: f64 = 0.8;
-/// A fit is as fine as the surfaces are thin: at most this share of the patches within the inlier distance lies apart. Slopes
-/// of which a half slid have 0.26 to 0.8, and other signs below 0.35; right transforms 0.0 to 0.13, of fused rooms up to 0.33.
+/// Largest share of patches within the inlier distance that lie apart relative to their thickness. Slopes of which one half
+/// slid have 0.26 to 0.8; those below 0.35 show other signs. Correct ones have 0.0 to 0.13, in fused rooms up to 0.33.
 const MAX_APART: f64 = 0.35;
-/// Bias of the logistic regression. Unit: log-odds. 3.2 below that of the fit, so that 0.5 is a probability of about
-/// 0.95.
+/// Bias of the logistic regression. Unit: log-odds. It is 3.2 below the fitted bias, so that a
+/// confidence of 0.5 is a probability of about 0.95.
 const BIAS: f64 = -8.5;
-/// Weight of the logarithm of one more than the matches that agree, and the limit up to which it counts, so that no
-/// evidence outvotes the others. So it is with the rows that follow. Unit: log-odds; logarithm. Fitted on 785 pairs.
+/// Weight of the logarithm of one more than the number of agreeing matches, and the limit up to which it counts, so
+/// that no term outvotes the others. The next rows have the same form. Unit: log-odds; logarithm. Fitted on 785 pairs.
 const LOG_AGREEING: [f64; 2] = [1.88, 5.3];
-/// The weight of the logarithm of their ratio to those of the best rival. Unit: log-odds; logarithm. Fitted on 785 pairs.
+/// The weight of the log ratio of agreeing matches to those of the best rival. Unit: log-odds; logarithm. Fitted on 785 pairs.
 const LOG_RATIO: [f64; 2] = [0.43, 1.5];
 /// The weight of the slide margin. Unit: log-odds per overlap; overlap. Fitted on 785 pairs.
 const SLIDE_MARGIN: [f64; 2] = [22.5, 0.1];
@@ -39,7 +39,7 @@ const VIOLATION: [f64; 2] = [-302.0, 1.0];
 /// hand on pairs of hotel_uc and redkitchen: 0.2 and more if right, 0.1 and less in most wrong ones.
 const LEAD: [f64; 2] = [10.0, 0.25];
 
-/// What is known of the best transform beside [`Fit`] and [`Matches`].
+/// Evidence about the best transform in addition to [`Fit`] and [`Matches`].
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence<'a> {
     pub(super) fit: &'a Fit,
@@ -57,21 +57,20 @@ pub(super) struct Evidence<'a> {
     /// Share of the patches of both clouds that coincide, where the points are fine enough to show
     /// it.
     pub(super) coinciding: Option<f64>,
-    /// Share of the patches that lie apart for their thickness.
+    /// Share of the patches that lie apart relative to their thickness.
     pub(super) apart: f64,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
-    /// By how much the transform's score exceeds that of the next, where single matches were
-    /// compared.
+    /// The lead of the transform's score over that of the next, if single matches were compared.
     pub(super) lead: Option<f64>,
 }
 
-/// A column of the logistic regression, weighed.
+/// A weighted term of the logistic regression.
 struct Term {
     value: f64,
     /// Its greatest value.
     most: f64,
-    /// What it says where it is low.
+    /// The words of a note if the value is low.
     words: String,
 }
 
@@ -111,7 +110,7 @@ impl Evidence<'_> {
         self.matches.spread / self.fit.inlier_distance
     }
 
-    /// What the logistic regression weighs.
+    /// The terms of the logistic regression.
     fn terms(&self) -> impl Iterator<Item = Term> {
         let log = |count: usize| (1.0 + count as f64).ln();
         let Matches { num_agreeing, num_rival_agreeing, .. } = *self.matches;
@@ -141,9 +140,9 @@ impl Evidence<'_> {
         terms.into_iter().chain(lead)
     }
 
-    /// From 0 to 1; 0.5 and more is reliable. It is 0 where the overlap leaves a direction open,
-    /// and falls towards it. Another transform that fits about as well halves it, and keeps it
-    /// below 0.5.
+    /// The confidence, 0 to 1; 0.5 and more is reliable. It is 0 if the overlap leaves a direction
+    /// open, and falls as the weakest constraint approaches that. Another transform that fits about
+    /// as well halves it, and keeps it below 0.5.
     pub(super) fn confidence(&self) -> f64 {
         if self.num_open > 0 {
             return 0.0;

@@ -39,22 +39,22 @@ use snake_geometry::{RigidTransform, least_spread};
 use standing::{contradicted_at_one_place, standing_note};
 use together::{Together, moved_together};
 
-/// Sensors at one place see the same: a greater share of what one sees and the other does not is doubtful. Unit: share
-/// of the places in view. 0.25 to 0.4 at most wrong fences, up to 0.16 in made rooms that one sensor saw before and
-/// after half of it moved.
+/// Sensors at one place see the same. A larger share of what only one of them sees is doubtful.
+/// Unit: share of the places in view. Most wrong fences have 0.25 to 0.4; synthetic rooms that one
+/// sensor saw before and after half of the room moved have up to 0.16.
 const MAX_STANDING: f64 = 0.2;
-/// With a smaller lead the next transform is a rival, where single matches were compared. Unit: share of the score. Set
-/// by hand on the same pairs.
+/// The next transform is a rival if the lead over it is smaller than this, where single matches
+/// were compared. Unit: share of the score. Set by hand on the same pairs.
 const MIN_LEAD: f64 = 0.3;
 /// Clouds whose diameters differ by more than this factor are probably in different units. Unit: ratio of diameters.
 /// Set by hand.
 const UNIT_RATIO: f64 = 30.0;
 
-/// Number of rivals that notes name: a ring of columns has many.
+/// Number of rivals that notes name, at most. A ring of columns has many.
 const MAX_NOTES: usize = 3;
 
-/// The registration by the best of the candidates, which come best first: how well it fits, and
-/// whether it can be relied on given the others.
+/// Makes the registration of the best candidate, which comes first. It tells how well the candidate
+/// fits, and whether it can be relied on beside the others.
 ///
 /// # Errors
 /// [`Error::NoTransform`] when there is no candidate.
@@ -85,13 +85,13 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
     })
 }
 
-/// Compares a transform with the rivals that searches propose: turns that lay planes on planes, slides, shifts, reflections,
-/// and motions under which a cloud looks like itself.
+/// Compares a transform with the rivals that searches propose: rotations that align planes with
+/// planes, slides, shifts, reflections, and motions under which a cloud is self-similar.
 ///
-/// A rival that explains significantly more, refined, is the answer instead, ambiguous and no more confident. One that
-/// explains about as much makes a registration ambiguous and not reliable: its notes say what repeats, and the rivals follow
-/// the best in `hypotheses`. So does a part of the scene that moved as a whole, if the sensors would stand at one place. The
-/// registration is not reliable either if a mirror image fits better, or if scans that it puts at one place differ.
+/// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
+/// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
+/// rivals follow the best in `hypotheses`. A part of the scene that moved as a whole does the same if the sensors would
+/// stand at one place. A mirror image that fits better, and scans at one place that differ, also make it not reliable.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -102,7 +102,7 @@ pub fn challenge(
     icp_steps: usize,
     control: &Control,
 ) -> Result<()> {
-    // Nothing helps an open direction.
+    // A confidence of 0 means an open direction, which no comparison can fix.
     if registration.verdict.confidence == 0.0 {
         return Ok(());
     }
@@ -138,7 +138,7 @@ pub fn challenge(
     // Finer voxels would not tell which part moved.
     let at_rest = if together.is_some() { 1.0 } else { 0.0 };
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
-    // Shifts come last, and are named first.
+    // Shifts are last in the list, and notes name them first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
     let rigid = equal.iter().filter(|rival| !rival.is_mirrored());
     let others = rigid.map(|rival| Candidate::measure(pair, matches, &rival.transform.into()).hypothesis());
@@ -266,7 +266,7 @@ pub(crate) fn units_note(diameters: [f64; 2]) -> Option<String> {
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
 }
 
-/// What to do about clouds of different scales.
+/// Advice about clouds of different scales.
 fn scale_note(factor: f64) -> String {
     format!(
         "the clouds fit better with the source {factor:.3} times as large: check the calibration and the units, or set \
@@ -282,8 +282,8 @@ fn no_transform(pair: &Pair, num_matches: usize) -> Result<Error> {
         "no three of the {num_matches} correspondences, of {source} and {target} voxels, fit a rigid transform; do \
          the clouds overlap, and in the same units? their diameters are {source_diameter:.4} and {target_diameter:.4}"
     );
-    // The voxels of clouds in different units are too large for normals. One note is enough: an
-    // error is one short line.
+    // If the clouds have different units, the voxels are too large for normals. One note is enough:
+    // an error is one short line.
     let note = units_note(pair.diameters()).map_or_else(|| open_alone(pair), |note| Ok(Some(note)))?;
     if let Some(note) = note {
         reason += &format!("; {note}");
@@ -304,8 +304,8 @@ fn open_alone(pair: &Pair) -> Result<Option<String>> {
     Ok(None)
 }
 
-/// The result of a further try, with a lower confidence: of two wrong results, one looks right by
-/// chance twice as often.
+/// Lowers the confidence of the result of a further try: one of two wrong results looks right by
+/// chance twice as often as a single one.
 pub(crate) fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;

@@ -31,7 +31,7 @@ pub(super) fn names(open: &Matrix6xX<f64>) -> String {
     [slides, turns].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// One direction by itself, two by the direction across both.
+/// One direction is named by itself, two by the direction perpendicular to both.
 fn name(what: &str, one: &str, two: &str, directions: &[Vector]) -> Option<String> {
     match directions {
         [] => None,
@@ -41,7 +41,7 @@ fn name(what: &str, one: &str, two: &str, directions: &[Vector]) -> Option<Strin
     }
 }
 
-/// An axis, whose sign means nothing: the largest component is positive.
+/// The name of an axis. Its sign means nothing, so the largest component is made positive.
 pub(super) fn axis_name(direction: &Vector) -> String {
     let direction = direction * direction[direction.iamax()].signum();
     // Adding zero removes the sign of zeros.

@@ -1,5 +1,5 @@
-//! Slides under which the target looks alike, as along a row of equal pillars: a source that fits
-//! at one place of the row fits at the others as well.
+//! Slides under which the target is self-similar, as along a row of equal pillars: a source that
+//! fits at one place of the row fits at the others as well.
 
 use std::collections::HashSet;
 
@@ -12,8 +12,8 @@ use crate::cloud::patches;
 use crate::cloud::planes::PlanePair;
 use snake_geometry::Vector;
 
-/// A patch tells whether a slide is right if the cosine between its normal and the slide is above this: a floor agrees
-/// with all slides along it. Set by hand.
+/// A patch can test a slide if the cosine between its normal and the slide is above this. A floor
+/// agrees with all slides along it. Set by hand.
 const TELLING_COSINE: f64 = 0.5;
 /// Number of patches that are compared for a slide, at most. Half and twice change no outcome.
 const PATCHES: usize = 40;
@@ -24,25 +24,25 @@ const MIN_PATCHES: u32 = 7;
 /// Share of the patches that must agree with a slide; the others may have left the view. Half and twice change no
 /// outcome.
 const MIN_SHARE: f64 = 0.2;
-/// A slide is dropped early if too few of every so many patches are near other patches. Set for time.
+/// Step between the patches that test a slide first: it is dropped early if too few are near others. Set for time.
 const PROBE: usize = 4;
-/// Number of least-squares steps by which a slide settles. Set for time.
+/// Number of least-squares steps that refine a slide. Set for time.
 const STEPS: usize = 2;
 /// Length of the longest slide. Unit: inlier distances. Set for time.
 const MAX_SLIDE: f64 = 10.0;
 /// Number of slides across an axis, at most. Set for time.
 const SLIDES: usize = 4;
-/// Slides that differ by less are one. Unit: inlier distances. As of candidates.
+/// Slides that differ by at most this count as one. Unit: inlier distances. The same as for candidates.
 const MIN_DIFFERENCE: f64 = 2.0;
-/// A normal lies across another if this much of it is left without the other's direction. Unit: length. Set by hand.
+/// A normal lies across another if its perpendicular component is longer than this. Unit: length. Set by hand.
 const MIN_ACROSS: f64 = 0.5;
 
-/// The slides across each axis with which most `patches` lie on others. They are of the overlap, in the target's frame.
+/// The slides perpendicular to each axis with which most `patches` of the overlap lie on others, in the target's frame.
 pub(super) fn slides(patches: &[PlanePair], axes: &[Vector; 3], distance: f64) -> Vec<Vector> {
     axes.iter().flat_map(|axis| Facing::new(axis, patches, distance).slides()).collect()
 }
 
-/// The patches that face across an axis, such as that of a floor, about evenly spread.
+/// The patches whose normals are far from an axis, such as walls for the axis of a floor, about evenly spread.
 struct Facing<'a> {
     axis: Vector,
     patches: Vec<&'a PlanePair>,
@@ -53,7 +53,7 @@ impl<'a> Facing<'a> {
     fn new(axis: &Vector, patches: &'a [PlanePair], distance: f64) -> Self {
         let faces = |patch: &&PlanePair| patch.normal.cross(axis).norm() > TELLING_COSINE;
         let mut cells = HashSet::new();
-        // Near the sensor there are more.
+        // Patches are denser near the sensor: each cell keeps one for each axis they face.
         let cell = |point: &Vector| point.map(|v| (v / (patches::NEAR * distance)).floor() as i64);
         let is_new = |patch: &&PlanePair| cells.insert((cell(&patch.point), patch.normal.iamax()));
         let patches: Vec<&PlanePair> = patches.iter().filter(faces).filter(is_new).collect();
@@ -82,14 +82,14 @@ impl<'a> Facing<'a> {
         best
     }
 
-    /// Some of the patches that tell whether a slide is right.
+    /// A sample of the patches that can test a slide.
     fn telling(&self, slide: &Vector) -> Vec<&'a PlanePair> {
         let tells = |patch: &&&PlanePair| patch.normal.dot(slide).abs() > TELLING_COSINE * slide.norm();
         let all: Vec<&PlanePair> = self.patches.iter().filter(tells).copied().collect();
         all.iter().step_by(all.len().div_ceil(PATCHES).max(1)).copied().collect()
     }
 
-    /// The distance along a patch's normal to the nearest one after a slide, if that is parallel.
+    /// The distance along a patch's normal to the nearest patch after a slide; `None` without a parallel patch nearby.
     fn offset(&self, patch: &PlanePair, slide: &Vector) -> Option<f64> {
         let place = patch.point + slide;
         let other = self.patches[self.grid.nearest(&place)?.0];
@@ -97,8 +97,8 @@ impl<'a> Facing<'a> {
         is_parallel.then(|| patch.normal.dot(&(other.point - place)))
     }
 
-    /// The slide near another with which the patches lie on others, and the share of the patches that do; `None` where few
-    /// are near any.
+    /// Refines a slide so that the patches lie on others. Returns the share of the patches that do,
+    /// and the slide; `None` if few patches are near others, or if the slide moves too far.
     fn settled(&self, start: Vector) -> Option<(f64, Vector)> {
         let telling = self.telling(&start);
         let probes = telling.iter().step_by(PROBE);
@@ -108,7 +108,7 @@ impl<'a> Facing<'a> {
         }
         let (mut share, mut slide) = (0.0, start);
         for _ in 0..STEPS {
-            // What the patches do not fix stays.
+            // The regularization keeps components that the patches do not fix.
             let (mut information, mut residual, mut count) =
                 (Matrix3::<f64>::identity() * 1e-3, Vector::zeros(), 0_u32);
             for patch in &telling {
@@ -128,8 +128,8 @@ impl<'a> Facing<'a> {
     }
 }
 
-/// The normal that most patches have, that which most have across it, and the direction across
-/// both.
+/// The most frequent normal of the patches, the most frequent direction perpendicular to it, and
+/// the direction perpendicular to both.
 pub(super) fn axes(patches: &[PlanePair]) -> Option<[Vector; 3]> {
     let first = most_frequent(&patches.iter().map(|patch| patch.normal).collect::<Vec<_>>())?;
     let across = patches.iter().map(|patch| patch.normal - first * patch.normal.dot(&first));
@@ -138,8 +138,8 @@ pub(super) fn axes(patches: &[PlanePair]) -> Option<[Vector; 3]> {
     Some([first, second, first.cross(&second)])
 }
 
-/// The mean of the unit normals about that which has the most others about it, of either sign: one
-/// normal alone is some degrees off.
+/// The mean of the unit normals, of either sign, near the normal with the most others near it: a
+/// single normal is some degrees off.
 fn most_frequent(normals: &[Vector]) -> Option<Vector> {
     let is_near = |normal: &Vector, other: &Vector| normal.dot(other).abs() > REPEAT_PARALLEL;
     let count = |normal: &&Vector| normals.iter().filter(|other| is_near(normal, other)).count();

@@ -1,4 +1,4 @@
-//! Another answer beside the winner: whether it is as good or better, and what a note says of it.
+//! A rival of the winner: whether it is as good or better, and the note about it.
 
 use nalgebra::IsometryMatrix3;
 
@@ -6,31 +6,31 @@ use super::open_motions::axis_name;
 use super::shifts::Shift;
 use snake_geometry::Vector;
 
-/// A rival contradicts at most this. Unit: share of the places that the winner explains and that tell the two apart. Stairs,
-/// ramps and stairwells have up to 0.05, right answers in real rooms 0.09 and more.
+/// Largest contradiction of an equal rival. Unit: share of the places that the winner explains and that tell the two
+/// apart. Rivals in stairs, ramps and stairwells have up to 0.05, those of correct answers in real rooms 0.09 and more.
 const MAX_CONTRADICTED: f64 = 0.08;
-/// With sensors at one place, where one pattern of rays coincides point by point: traffic has up to 0.25, rooms at rest 0.33
-/// and more.
+/// The same limit for sensors at one place, where one pattern of rays coincides point by point.
+/// Traffic has up to 0.25, rooms at rest 0.33 and more.
 const STANDING_CONTRADICTED: f64 = 0.28;
-/// The limit for all places, after a shift there or one with which details fit better: pillars have up to 0.38.
+/// The limit over all explained places, for shifts of sensors at one place or with a better fit of details. Pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
 /// A mirror image fits better if it leads by this. Unit: share of the places that the winner explains. Mirrored boxes
 /// have 0.1 and more.
 const MIRROR_LEAD: f64 = 0.06;
-/// One transform explains more places than another, and absence contradicts the other, by so many standard deviations. Half turns of
-/// rooms that are the answer have -5 to 2 beside the truth, the other way round 4 and more.
+/// A difference of explained or absent places is significant above this many standard deviations. In rooms, absence
+/// contradicts the truth by -5 to 2 if a half turn is the winner, and the half turn by 4 and more if the truth is the winner.
 const MIN_DEVIATIONS: f64 = 3.0;
 
-/// What leads from the winner to its rival.
+/// The kind of motion that leads from the winner to a rival.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Motion {
     Mirror,
     Shift(Shift),
-    /// A turn, a slide, or a motion under which one of the clouds looks like itself.
+    /// A rotation, a slide, or a motion under which one of the clouds is self-similar.
     Alike,
 }
 
-/// Another answer, compared with the winner place by place.
+/// A rival, compared with the winner place by place.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rival {
     pub(super) transform: IsometryMatrix3<f64>,
@@ -38,7 +38,7 @@ pub(super) struct Rival {
     pub(super) counts: Counts,
     /// Whether the winner puts the sensors of both clouds at one place.
     pub(super) is_standing: bool,
-    /// The root mean square distance by which it moves the source from where the winner puts it.
+    /// Root mean square distance between the source under the rival and under the winner.
     pub(super) moved: f64,
 }
 
@@ -48,7 +48,7 @@ impl Rival {
         matches!(self.motion, Motion::Mirror)
     }
 
-    /// What must be small for a rival to be equal, and its limit. A mirror image must explain more, whatever it contradicts.
+    /// The measure that must be small for an equal rival, and its limit. A mirror image only has to explain more places.
     fn limit(&self) -> (Measure, f64) {
         match (self.motion, self.is_standing) {
             (Motion::Mirror, _) => (Measure::Lead, -MIRROR_LEAD),
@@ -60,19 +60,19 @@ impl Rival {
         }
     }
 
-    /// Whether it explains significantly more places than the winner. A mirror image is no answer.
+    /// Whether it explains significantly more places than the winner. A mirror image is never better: it is no rigid motion.
     pub(super) fn is_better(&self) -> bool {
         !self.is_mirrored() && self.counts.is_gain_significant()
     }
 
-    /// Whether the rival contradicts little of what tells it from the winner.
+    /// Whether the rival is about as good as the winner: its measure is at most the limit.
     pub(super) fn is_equal(&self) -> bool {
         let (measure, limit) = self.limit();
         self.counts.measure(measure) <= limit
     }
 
-    /// Of the places that the winner explains, the share that this shift of it, or motion under which
-    /// a cloud looks like itself, explains too; 0 for a mirror image.
+    /// The share of the winner's explained places that the rival explains too. For
+    /// [`Motion::Alike`], only places that tell the two apart count. It is 0 for a mirror image.
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both_of_explained(),
@@ -81,7 +81,7 @@ impl Rival {
         }
     }
 
-    /// What is ambiguous beside a winner, in a sentence.
+    /// A sentence on how this rival makes the winner ambiguous.
     pub(super) fn note(&self, winner: &IsometryMatrix3<f64>) -> String {
         match self.motion {
             Motion::Mirror => {
@@ -104,7 +104,7 @@ impl Rival {
     }
 }
 
-/// What repeats itself after a shift, in a sentence.
+/// A sentence on what repeats after a shift.
 fn repeat_note(what: &str, by: &Vector) -> String {
     format!(
         "ambiguous: the {what} repeats itself every {:.3} along {}, and the source fits there about as well",
@@ -113,30 +113,30 @@ fn repeat_note(what: &str, by: &Vector) -> String {
     )
 }
 
-/// What the numbers say of a rival, as a share.
+/// The measures of a rival, as shares of places.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Measure {
-    /// By how much the winner leads, of the places that it explains.
+    /// The lead of the winner, as a share of the places that it explains.
     Lead,
-    /// The places that the winner explains and the rival does not, of all that the winner explains.
+    /// The share of the winner's explained places that the rival does not explain.
     OfAll,
-    /// The places that the rival contradicts, of those that tell the two apart. What the winner alone explains does not
-    /// count beyond that: clouds of one pattern of rays coincide point by point wherever they are a period apart.
+    /// The share of contradicted places among those that tell the two apart. Other places that only the winner
+    /// explains do not count: clouds of one pattern of rays coincide point by point wherever they are a period apart.
     OfTelling,
 }
 
-/// Numbers of places of both clouds.
+/// Counts of places of both clouds.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counts {
     /// Places that both transforms bring onto the other cloud.
     pub(super) both: usize,
-    /// Those of them that the two bring to different places: a floor agrees with all slides along it.
+    /// Those of them that the two transforms bring to different places. A floor, for example, agrees with all slides along it.
     pub(super) telling: usize,
     /// Places that the winner brings onto the other cloud and the rival contradicts.
     pub(super) winner: usize,
     /// The reverse.
     pub(super) rival: usize,
-    /// Places that the winner brings onto a cloud whose sensor is not known, and the rival to where it has nothing.
+    /// Places that the winner brings onto a cloud with an unknown sensor, and the rival to where that cloud has no surface.
     pub(super) absent: usize,
     /// The reverse.
     pub(super) gained: usize,
@@ -164,13 +164,13 @@ impl Counts {
         }
     }
 
-    /// The share of the places that the winner explains which the rival explains too.
+    /// The share of the winner's explained places that the rival explains too.
     pub(super) fn both_of_explained(&self) -> f64 {
         self.both as f64 / self.explained()
     }
 
-    /// Whether absence contradicts the rival: nobody knows where an unknown sensor looked, and a rival that explains as
-    /// many other places instead is as good.
+    /// Whether absent places contradict the rival. The view of an unknown sensor is not known, and
+    /// a rival that explains as many other places instead is as good.
     fn absence_tells(&self) -> bool {
         is_significant(self.absent as i64 - self.gained as i64, self.absent + self.gained)
     }
@@ -180,7 +180,7 @@ impl Counts {
     }
 }
 
-/// Whether one of two transforms explains so many more of the places that only one explains (McNemar's test).
+/// McNemar's test: whether one transform explains significantly more of the places that only one of the two explains.
 fn is_significant(more: i64, differing: usize) -> bool {
     more as f64 > MIN_DEVIATIONS * (differing as f64).sqrt()
 }

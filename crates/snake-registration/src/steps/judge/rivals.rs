@@ -1,6 +1,6 @@
-//! Other answers that are tried on purpose: the winner after a turn that lays planes on planes, after the motions under
-//! which one of the clouds looks like itself, after a slide or shift under which patches or details repeat, and after a
-//! reflection. The searches propose, one comparison decides.
+//! Rivals that are tried on purpose: the winner after a rotation that aligns planes with planes, after
+//! a motion under which one of the clouds is self-similar, after a slide or shift under which patches
+//! or details repeat, and after a reflection. Searches propose the rivals, one comparison decides.
 
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
 use rayon::prelude::*;
@@ -24,20 +24,20 @@ use snake_geometry::Vector;
 const SHIFT_PLACES: usize = 1200;
 /// Number of ICP steps after a motion. Set for time.
 const RIVAL_STEPS: usize = 8;
-/// A cloud looks like itself after a motion on which this share of these matches agrees. Unit: share of the matches.
-/// Stairs have 0.10 to 0.31, stairwells 0.07 to 0.25, ramps 0.07 to 0.09; beside right answers real and made rooms 0.01
-/// to 0.06.
+/// A cloud is self-similar under a motion if at least this share of its self-matches agrees. Unit:
+/// share of the matches. Stairs have 0.10 to 0.31, stairwells 0.07 to 0.25, ramps 0.07 to 0.09.
+/// Real and synthetic rooms with correct answers have 0.01 to 0.06.
 const MIN_SELF_SUPPORT: f64 = 0.06;
-/// Such a motion is longer where the sensors are not known: objects have details alike side by side. Unit: inlier
-/// distances. An object in a map has 7 to 11.
+/// Smallest such motion if the sensors are not known, because objects have similar details side by
+/// side. Unit: inlier distances. An object in a map has 7 to 11.
 const MIN_UNSIGNED_MOTION: f64 = 12.0;
-/// A rival's surfaces fit by this: usually, and after a slide with sensors at one place. Unit: shares of the winner's
-/// fit. Stairs have 0.9, ramps 0.89, an aeroplane of 4096 points after a half turn 0.69 to 0.77; traffic that keeps
-/// pace 0.44 to 0.54.
+/// Smallest fit of a rival's surfaces: usually, and after a slide with sensors at one place. Unit:
+/// shares of the winner's fit. Stairs have 0.9, ramps 0.89, an aeroplane of 4096 points after a
+/// half turn 0.69 to 0.77; traffic that keeps pace has 0.44 to 0.54.
 const RIVAL_FIT_SHARES: [f64; 2] = [0.75, 0.43];
 
-/// The turns, motions, shifts and reflections of the winner under which the clouds fit, with what tells them
-/// from the winner.
+/// The rivals of the winner under which the clouds fit: rotations, self-similar motions, slides,
+/// shifts and reflections, each compared with the winner.
 pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bool) -> Result<Vec<Rival>> {
     let (surfaces, fine) = (pair.surfaces(), pair.fine()?);
     let distance = pair.criteria().inlier_distance;
@@ -46,7 +46,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let rotated = |turns: Vec<_>| turns.into_iter().map(|turn| (Motion::Alike, turn));
     let mirrored = |frame| reflections(frame).into_iter().map(|turn| (Motion::Mirror, turn));
     let tried: Vec<_> = match pair.criteria().gravity {
-        // No cloud is mirrored.
+        // With a known up axis, no cloud is taken to be mirrored.
         Some(axis) => rotated(turns(&[axis])).collect(),
         None => rotated(turns(&frame)).chain(mirrored(&frame)).collect(),
     };
@@ -69,13 +69,13 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     Ok(moved.into_iter().chain(shifted).flatten().collect())
 }
 
-/// The pair with what shows whether another transform fits the surfaces.
+/// The pair and the fit of the winner, which tell whether another transform fits the surfaces.
 pub(super) struct Fitting<'a, 'b> {
     pub(super) pair: &'a Pair<'b>,
     pub(super) winner: &'a IsometryMatrix3<f64>,
     /// Some voxels of the source.
     pub(super) coarse: Vec<Vector>,
-    /// How well they fit with the winner.
+    /// The fit of these voxels under the winner.
     best_fit: f64,
     pub(super) is_standing: bool,
 }
@@ -89,9 +89,9 @@ impl<'a, 'b> Fitting<'a, 'b> {
         Self { pair, winner, coarse, best_fit, is_standing }
     }
 
-    /// The winner before or after each motion under which a cloud looks like itself, or its inverse. Where the
-    /// sensors are at one place and one pattern of rays hides that the scene looks alike, any of its slides
-    /// will do: a sensor that keeps pace with the scene does not turn.
+    /// Combines the winner with each motion under which a cloud is self-similar, and with its
+    /// inverse. If the sensors are at one place, a slide needs no support by matches: the pattern of
+    /// rays hides the self-similarity, and a sensor that keeps pace with the scene does not rotate.
     fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
         let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
         let least = match (self.is_standing, self.pair.is_signed()) {
@@ -119,7 +119,7 @@ impl<'a, 'b> Fitting<'a, 'b> {
         Ok(guesses)
     }
 
-    /// Whether the sensors are at one place and hardly turn between two answers.
+    /// Whether the sensors are at one place and the rotation between two answers is small.
     pub(super) fn is_slide_of_one_place(&self, turn: &Rotation3<f64>) -> bool {
         self.is_standing && turn.angle() < MAX_SLIDE_TURN.to_radians()
     }

@@ -14,25 +14,25 @@ const SCALE_POINTS: usize = 1500;
 const SCALE_STEPS: usize = 12;
 /// A factor that differs from 1 by less after one step is not pursued. Unit: ratio. Set for time.
 const SCALE_GATE: f64 = 0.003;
-/// Fewer pairs of voxels do not tell the scale. Set by hand.
+/// Smallest number of pairs of voxels that determine the scale. Set by hand.
 const MIN_SCALE_PAIRS: usize = 100;
-/// Planes tell the scale if this much of their squared distance under a change of scale is left after the best rigid
-/// motion: three walls of a room fit at any scale. Unit: squared extents of the pairs. Set by hand.
+/// Planes determine the scale if this much of their squared distance under a change of scale remains after the
+/// best rigid motion. Three walls of a room fit at any scale. Unit: squared extents of the pairs. Set by hand.
 const MIN_SCALE_SHARE: f64 = 0.02;
 /// A smaller difference from 1 is not noted. Unit: ratio. The smallest that matters.
 const MIN_SCALE: f64 = 0.01;
-/// A factor differs from 1 if it does by so many of its standard deviations. Set by hand.
+/// A factor differs from 1 if the difference exceeds this many of its standard deviations. Set by hand.
 const SCALE_DEVIATIONS: f64 = 5.0;
 /// The factor is found when a step changes it by less. Unit: ratio. Set by hand.
 const SCALE_TOLERANCE: f64 = 1e-4;
-/// With the factor, this share of the squared distances is left at most. Set on training scenes and objects of true
-/// scale.
+/// Largest share of the mean squared distance that remains with the factor. Set on training scenes
+/// and objects of true scale.
 const SCALE_GAIN: f64 = 0.6;
-/// The halves of the overlap change the factor by this at most. Unit: share of the change. Set on training scenes and
-/// objects of true scale.
+/// Largest change of the factor by one half of the overlap. Unit: share of the change. Set on
+/// training scenes and objects of true scale.
 const SCALE_DISAGREEMENT: f64 = 0.2;
 
-/// A factor for the source, with the rigid transform that then follows.
+/// A scale factor for the source, followed by a rigid transform.
 #[derive(Debug, Clone, Copy)]
 struct Similarity {
     factor: f64,
@@ -48,8 +48,8 @@ struct Step {
 }
 
 /// The factor by which the source must be enlarged to fit better, if it differs from 1 beyond
-/// doubt: each half of the overlap must say so, since a scan that bends fits better at another
-/// scale too, but in some places only.
+/// doubt. Each half of the overlap must confirm it: a bent scan also fits better at another scale,
+/// but in some places only.
 pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
     let before = Similarity { factor: 1.0, transform: *transform }.pairs(surfaces);
     if (step(&before)?.factor - 1.0).abs() < SCALE_GATE {
@@ -66,7 +66,7 @@ pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<
     (is_certain && is_better && halves(&after).iter().all(agrees)).then_some(similarity.factor)
 }
 
-/// The factor by which the source must be enlarged to fit best; `None` where the clouds do not tell.
+/// The factor by which the source must be enlarged to fit best; `None` if the clouds do not determine it.
 pub(crate) fn best_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
     similarity(surfaces, transform).map(|(similarity, _)| similarity.factor)
 }
@@ -124,8 +124,8 @@ impl Similarity {
     }
 }
 
-/// The step onto the planes by a small rigid motion and a change of scale about the mean; `None`
-/// where the planes do not fix it.
+/// The step onto the planes by a small rigid motion and a change of scale about the mean; `None` if
+/// the planes do not determine it.
 fn step(pairs: &[PlanePair]) -> Option<Step> {
     let count = pairs.len() as f64;
     let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / count.max(1.0);
@@ -142,7 +142,7 @@ fn step(pairs: &[PlanePair]) -> Option<Step> {
         (scales, along, squared) = (scales + scale * scale, along + scale * distance, squared + distance * distance);
     }
     let inverse = information.try_inverse()?;
-    // What a rigid motion cannot do.
+    // The part of a change of scale that no rigid motion can make.
     let own = scales - coupling.dot(&(inverse * coupling));
     if pairs.len() < MIN_SCALE_PAIRS || own < MIN_SCALE_SHARE * count {
         return None;

@@ -4,28 +4,28 @@ use super::constants::{DETAIL, ELSEWHERE, MIN_SHIFT, TRIES};
 use crate::cloud::patches::{self, FineCloud, Place};
 use snake_geometry::Vector;
 
-/// A place faces along an axis if its cosine is above this. Set by hand.
+/// A place faces along an axis if the cosine between its normal and the axis is above this. Set by hand.
 const SHIFT_COSINE: f64 = 0.8;
 /// Length of the longest shift. Unit: share of the overlap's extent. Half and twice change no outcome.
 const MAX_SHIFT: f64 = 0.5;
-/// Share of the details that must be in view after a shift, and fit. Unit: share of the details that fit at rest. Half
-/// and twice change no outcome.
+/// Smallest share of details that are in view after a shift and fit. Unit: share of the details
+/// that fit at rest. Half and twice change no outcome.
 const MIN_SHIFT_VIEW: f64 = 0.25;
-/// Details repeat after a shift if of those in view this share more fits than after most shifts. Unit: share of the
-/// same beside rest. Half and twice change no outcome; seen on a wall with windows every 1.5 m.
+/// Details repeat after a shift if their share of fits exceeds the median of all shifts by this. Unit: share of
+/// the same excess one step from rest. Half and twice change no outcome; seen on a wall with windows every 1.5 m.
 const SHIFT_FIT: f64 = 0.5;
-/// After a short shift this share of them fits. Unit: share of the details in view. 0.41 to 0.8 on a made wall, 0.2 to
-/// 0.35 in most real rooms.
+/// Smallest share of details that fit after a short shift. Unit: share of the details in view. A
+/// synthetic wall has 0.41 to 0.8, most real rooms 0.2 to 0.35.
 const MIN_SHORT_FIT: f64 = 0.4;
-/// On the way to a shift the details fit worse than this. Unit: share of that after the shift. Half and twice change no
-/// outcome.
+/// Between rest and a shift, the details fit worse than this somewhere. Unit: share of the fit
+/// after the shift. Half and twice change no outcome.
 const SHIFT_VALLEY: f64 = 0.9;
 
 /// The greatest number of bits of a relief.
 const MAX_CELLS: f64 = 1e8;
 
-/// What a cloud has at each place of a plane: cells along the two axes of the plane and, much
-/// thinner, across it.
+/// The relief of a cloud over a plane: occupied cells along the two axes of the plane and, in
+/// thinner layers, across it.
 struct Relief {
     /// The axis across the plane, and the two along it.
     axes: [usize; 3],
@@ -33,7 +33,7 @@ struct Relief {
     sides: [f64; 3],
     counts: [usize; 3],
     cells: Vec<u64>,
-    /// Columns across the plane in which there is anything.
+    /// Columns across the plane that contain a point.
     columns: Vec<u64>,
 }
 
@@ -81,7 +81,7 @@ impl Relief {
         (depth * self.counts[1] + row) * self.counts[2] + column
     }
 
-    /// Whether there is a surface at a place; `None` if there is nothing in its column.
+    /// Whether there is a surface at a place; `None` if its column is empty.
     fn has(&self, point: &Vector) -> Option<bool> {
         let at = self.cell(point)?;
         get(&self.columns, at[1] * self.counts[2] + at[2]).then(|| get(&self.cells, self.index(at)))
@@ -100,13 +100,13 @@ pub(super) struct Shift {
 #[derive(Clone, Copy)]
 struct Detail {
     point: Vector,
-    /// The axis along which its surface faces, if that is one of a plane across it.
+    /// The axis of the frame along which its surface faces, if there is one.
     facing: Option<usize>,
 }
 
-/// The shifts along the axes of `frame` after which the details of `places`, of the source on the
-/// target, are those of the target again. If both sensors would stand at one place, the places with
-/// a normal are also compared alone.
+/// The shifts along the axes of `frame` after which the details of `places` (the source on the
+/// target) fit the target again. If both sensors would stand at one place, the places with a normal
+/// along an axis are also compared alone.
 pub(super) fn shifts(
     places: &[Place],
     target: &FineCloud,
@@ -123,7 +123,7 @@ pub(super) fn shifts(
         Detail { point: into(point), facing: facing.map(|normal| normal.iamax()) }
     };
     let all: Vec<Detail> = places.iter().map(detail).collect();
-    // What has no normal, such as thin posts, coincides at one place by the pattern of rays alone.
+    // Places without a normal, such as on thin posts, coincide for sensors at one place by the pattern of rays alone.
     let facing = all.iter().filter(|detail| is_standing && detail.facing.is_some()).copied().collect();
     let (step, min) = (DETAIL * distance, (MIN_SHIFT / DETAIL).ceil() as i64);
     let mut shifts = Vec::new();
@@ -139,12 +139,12 @@ pub(super) fn shifts(
     shifts
 }
 
-/// How many details fit after each shift along an axis, from `-reach` to `reach` steps, each by how much it tells.
+/// Weighted numbers of details after each shift along an axis, from `-reach` to `reach` steps.
 struct Profile {
     reach: i64,
-    /// Those in view that fit.
+    /// Details in view that fit.
     fits: Vec<f64>,
-    /// Those in view.
+    /// Details in view.
     seen: Vec<f64>,
 }
 
@@ -169,7 +169,7 @@ impl Profile {
                 relief.has(&moved)
             };
             let states: Vec<Option<bool>> = shifts.clone().map(after).collect();
-            // A detail that is on the target wherever it is shifted tells nothing.
+            // A detail that lies on the target after every shift carries no information.
             let on = states.iter().filter(|state| **state == Some(true)).count();
             let in_view = states.iter().flatten().count();
             let weight = (1.0 - on as f64 / in_view.max(1) as f64).powi(2);
@@ -191,7 +191,7 @@ impl Profile {
         if seen > 0.0 { self.fit(shift) / seen } else { 0.0 }
     }
 
-    /// The share one step from rest: clouds of one pattern of rays coincide at rest point by point.
+    /// The share one step from rest. At rest, clouds of one pattern of rays coincide point by point.
     fn beside_rest(&self) -> f64 {
         self.share(-1).max(self.share(1))
     }
@@ -200,15 +200,15 @@ impl Profile {
         self.share(0).max(self.beside_rest())
     }
 
-    /// The share after most shifts.
+    /// The median share over all shifts.
     fn usual(&self) -> f64 {
         let mut shares: Vec<f64> = (-self.reach..=self.reach).map(|shift| self.share(shift)).collect();
         shares.sort_by(f64::total_cmp);
         shares[shares.len() / 2]
     }
 
-    /// The shifts by `min` steps and more at which the details fit about as well as beside rest, and worse on the way: those
-    /// at which most are in view and fit.
+    /// The shifts by at least `min` steps at which the details fit about as well as beside rest,
+    /// and worse in between. Of them, those with the most fitting details are kept.
     fn peaks(&self, min: i64) -> Vec<i64> {
         let usual = self.usual();
         let repeats = usual + SHIFT_FIT * (self.beside_rest() - usual);

@@ -9,10 +9,9 @@ use crate::cloud::surface::{Agreement, Surface, coarse_step};
 /// Distances by which the source slides to either side. Unit: inlier distances. Half and twice change no outcome.
 const SLIDES: [f64; 6] = [2.0, 3.0, 4.0, 6.0, 9.0, 12.0];
 
-/// By how much overlap less free space (as in [`Agreement::fit`]) beats the best of the slides of
-/// the source along the translation that the overlap fixes least. A wrong transform along a wall
-/// has slides that fit better, and a margin below
-/// 0.
+/// The margin of a transform: its fit (overlap less free space, see [`Agreement::fit`]) less the
+/// best fit of the slides of the source along the translation that the overlap fixes least. A wrong
+/// transform along a wall has slides that fit better, and a margin below 0.
 pub(super) fn slide_margin(
     [source, target]: &[Surface; 2],
     transform: &IsometryMatrix3<f64>,

@@ -1,4 +1,4 @@
-//! Scans that a transform puts at one place, where the pattern of rays alone makes them coincide.
+//! Scans whose sensors a transform puts at one place, where the pattern of rays alone makes them coincide.
 
 use super::constants::PLACES;
 use nalgebra::{IsometryMatrix3, Point3};
@@ -8,16 +8,16 @@ use crate::cloud::patches::FineCloud;
 use crate::steps::pair::Pair;
 use snake_core::Result;
 
-/// A cloud was seen from one place if this much of it is visible from there. Unit: share of the fine voxels. Made scans
-/// have 0.99 and more, fused fragments of rooms about 0.9.
+/// A cloud was seen from one place if this much of it is visible from there. Unit: share of the
+/// fine voxels. Synthetic scans have 0.99 and more, fused fragments of rooms about 0.9.
 const MIN_ONE_VIEW: f64 = 0.98;
-/// Two sensors that are closer are at one place. Unit: inlier distances. 18 of 19 made facades and fences that were
-/// wrong and reliable, the last has 1.6.
+/// Two sensors are at one place if they are at most this far apart. Unit: inlier distances. Of 19
+/// synthetic facades and fences that were wrong and reliable, 18 have less; the last has 1.6.
 const STANDING: f64 = 1.0;
 
-/// If a transform puts the sensors of two scans at one place, the share of the places that each
-/// sensor would have seen elsewhere. `None` if the sensors are apart or not known, or if a cloud
-/// was not seen from one place.
+/// The share of the places of one scan that the other scan contradicts (the larger of both
+/// directions), if a transform puts their sensors at one place. `None` if the sensors are apart or
+/// not known, or if a cloud was not seen from one place.
 pub(super) fn contradicted_at_one_place(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<f64>> {
     let distance = pair.criteria().inlier_distance;
     let places = pair.viewpoints().map(|viewpoint| viewpoint.map(|viewpoint| viewpoint.place()));
@@ -37,7 +37,7 @@ pub(super) fn contradicted_at_one_place(pair: &Pair, transform: &IsometryMatrix3
     Ok(Some(shares[0].max(shares[1])))
 }
 
-/// The share of a cloud's places in view of another that do not lie on it.
+/// The share of a cloud's places in view of another cloud's sensor that do not lie on that cloud.
 fn contradicted(
     cloud: &FineCloud,
     transform: &IsometryMatrix3<f64>,

@@ -1,5 +1,5 @@
-//! What contradicts sensors at one place, and moved as a whole: posts that stand still beside traffic
-//! that keeps pace with the sensor.
+//! Parts of the scene that contradict sensors at one place and moved as a whole, such as posts that
+//! stand still beside traffic that keeps pace with the sensor.
 
 use super::constants::{DETAIL, FEW_PLACES, MIN_AGREEING, MIN_SHIFT};
 use std::collections::HashMap;
@@ -14,26 +14,26 @@ use crate::steps::pair::Pair;
 use snake_core::Result;
 use snake_geometry::Vector;
 
-/// They hang together if one slide brings this share of them onto each other. Unit: share of the places. Posts beside a
-/// motorway have 0.2 to 0.6, beside vehicles that drift.
+/// Places moved together if one slide brings this share of them onto each other. Unit: share of the
+/// places. Posts beside a motorway, beside vehicles that drift, have 0.2 to 0.6.
 const TOGETHER: f64 = 0.2;
 /// Number of slides that are tried, at most. Half and twice change no outcome; things that moved alone come first.
 const SLIDES_TOGETHER: usize = 40;
-/// Places that hang together are a part of the scene, not one thing that moved, if they spread by this. Unit: share of
-/// the cloud's spread. Posts beside a motorway have 0.315 to 0.63, one car 0.05, furniture up to 0.3.
+/// Places that moved together are a part of the scene, not one object, if they spread by at least this. Unit:
+/// share of the cloud's spread. Posts beside a motorway have 0.315 to 0.63, one car 0.05, furniture up to 0.3.
 const MIN_TOGETHER_SPREAD: f64 = 0.31;
 
 /// A part of the source that another slide brings onto the target.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Together {
     slide: Vector,
-    /// The share of the places that contradict the transform.
+    /// The share of the contradicting places that the slide brings onto the target.
     share: f64,
     center: Vector,
 }
 
 impl Together {
-    /// What is ambiguous, in a sentence.
+    /// A sentence on what is ambiguous.
     pub(super) fn note(&self) -> String {
         let [x, y, z] = self.center.into();
         format!(
@@ -46,8 +46,8 @@ impl Together {
     }
 }
 
-/// The slide that brings most of what a transform leaves apart onto each other, if that is a good share
-/// of it and spread over the scene. Both clouds were seen from one place.
+/// The most frequent slide that brings what a transform leaves apart onto each other, if this is a
+/// good share of it and spread over the scene. Both clouds were seen from one place.
 pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<Together>> {
     let distance = pair.criteria().inlier_distance;
     let source = apart(pair, 0, transform)?;
@@ -65,8 +65,8 @@ pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> R
     Ok(frequent_slides(&source, &target, distance).into_iter().find_map(together))
 }
 
-/// Places of a cloud that a transform does not bring onto the other cloud, though that is seen there or
-/// nothing hides them.
+/// Places of a cloud that a transform does not bring onto the other cloud, although that cloud has
+/// a surface near them or does not hide them.
 fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<Vec<Vector>> {
     let (distance, fine) = (pair.criteria().inlier_distance, pair.fine()?);
     let Some(viewpoint) = pair.viewpoints()[1 - from] else { return Ok(Vec::new()) };
@@ -83,8 +83,8 @@ fn apart(pair: &Pair, from: usize, transform: &IsometryMatrix3<f64>) -> Result<V
     Ok(all.iter().step_by(all.len().div_ceil(FEW_PLACES).max(1)).copied().collect())
 }
 
-/// The slides from places of one cloud to those of another on which most pairs agree, each the mean of a
-/// cell. Slides as short as a rival's least are left out, and those of few pairs.
+/// The most frequent slides from places of one cloud to places of another, each the mean of a cell.
+/// Slides that are too short for a rival are left out, and so are slides of few pairs.
 fn frequent_slides(source: &[Vector], target: &[Vector], distance: f64) -> Vec<Vector> {
     let mut cells: HashMap<[i64; 3], (usize, Vector)> = HashMap::new();
     for from in source {

@@ -1,5 +1,5 @@
-//! Turns and reflections of the source under which the large planes of the overlap lie on planes
-//! again: the walls of a room fit at two or four headings.
+//! Rotations and reflections of the source under which the large planes of the overlap lie on
+//! planes again: the walls of a room fit at two or four headings.
 
 use super::constants::TRIES;
 use std::f64::consts::PI;
@@ -11,12 +11,12 @@ use crate::cloud::surface::{Surface, coarse_step};
 use crate::rigid::moved;
 use snake_geometry::Vector;
 
-/// Number of offsets along each axis at which planes of a rotated source are laid on planes. Half and twice change no
-/// outcome.
+/// Number of offsets along each axis at which planes of a rotated source are aligned with planes.
+/// Half and twice change no outcome.
 const TURN_OFFSETS: usize = 3;
-/// A rotated source must overlap the target by this, and have as much of the voxels on planes that meet. Unit: share of
-/// the winner's. With 0.45 three instead of five of ten lobbies are wrong and reliable, but a right desk and a right
-/// room are not reliable.
+/// A rotated source must have this overlap with the target, and this number of voxels on planes
+/// that meet. Unit: share of the winner's. With 0.45, three instead of five of ten lobbies are
+/// wrong and reliable, but a correct desk and a correct room are not reliable.
 const TURN_SHARE: f64 = 0.7;
 
 /// The quarter and half turns about the axes.
@@ -25,24 +25,24 @@ pub(super) fn turns(axes: &[Vector]) -> Vec<Rotation3<f64>> {
     axes.iter().flat_map(about).collect()
 }
 
-/// The reflections across each axis, and that in a point: their matrices are no rotations.
+/// The reflections across each axis, and the point reflection. Their matrices are no rotations.
 pub(super) fn reflections(axes: &[Vector; 3]) -> Vec<Rotation3<f64>> {
     let across = axes.iter().map(|axis| Matrix3::identity() - 2.0 * axis * axis.transpose());
     across.chain([-Matrix3::identity()]).map(Rotation3::from_matrix_unchecked).collect()
 }
 
-/// Number of bins, two inlier distances wide together, over which a plane spreads.
+/// Number of bins over which a plane spreads. Together they are two inlier distances wide.
 const BINS: usize = 4;
 
 /// How many voxels of a cloud lie on planes at each offset along three axes.
 struct Offsets {
-    /// For each axis, the counts of voxels that face along it and against it, from a first bin on.
+    /// For each axis, the counts of voxels that face along it and against it, starting at the bin `first`.
     counts: [[Vec<f64>; 2]; 3],
     first: [i64; 3],
 }
 
 impl Offsets {
-    /// `places` are points with normals. Without a sign all normals face along the axis.
+    /// `places` are points with normals. If normals are unsigned, all face along the axis.
     fn new(places: &[(Vector, Vector)], frame: &[Vector; 3], is_signed: bool, side: f64) -> Self {
         let bin = |point: &Vector, axis: &Vector| (point.dot(axis) / side).floor() as i64;
         let mut first = [0; 3];
@@ -63,7 +63,7 @@ impl Offsets {
         Self { counts, first }
     }
 
-    /// The best shifts along an axis, in bins, each with the number of voxels whose planes meet; no shift if none meet.
+    /// The best shifts along an axis, in bins, each with the number of voxels whose planes meet; 0 if none meet.
     fn shifts(&self, target: &Self, axis: usize) -> Vec<(f64, f64)> {
         let [own, other] = [&self.counts[axis], &target.counts[axis]];
         let mut sums = vec![0.0; own[0].len() + other[0].len() + 1];
@@ -75,7 +75,7 @@ impl Offsets {
             }
         }
         let zero = (own[0].len() as i64 + self.first[axis] - target.first[axis]) as f64;
-        // A plane lies across the borders of bins: some of them count together, and their mean is the shift.
+        // A plane can lie across the borders of bins: neighbouring bins are summed, and their mean is the shift.
         let mean = |(first, sums): (usize, &[f64])| {
             let sum: f64 = sums.iter().sum();
             let moment: f64 = sums.iter().enumerate().map(|(at, count)| (first + at) as f64 * count).sum();
@@ -92,15 +92,15 @@ impl Offsets {
         if best.is_empty() { vec![(0.0, 0.0)] } else { best }
     }
 
-    /// The number of voxels whose planes meet as they are.
+    /// The number of voxels whose planes meet without a shift.
     fn meeting(&self, target: &Self) -> f64 {
         let near = |axis| self.shifts(target, axis).into_iter().filter(|(shift, _)| shift.abs() < BINS as f64);
         (0..3).flat_map(|axis| near(axis).next()).map(|(_, sum)| sum).sum()
     }
 }
 
-/// The winner after each of some turns in the target's frame, moved so that planes lie on planes, where about as much of
-/// the source then lies on the target. Each turn is named by a tag.
+/// The winner after each rotation in the target's frame, shifted so that planes lie on planes, if
+/// about as much of the source then lies on the target. A tag names each rotation.
 pub(super) fn after_turns<T: Copy>(
     surfaces: &[Surface; 2],
     winner: &IsometryMatrix3<f64>,
