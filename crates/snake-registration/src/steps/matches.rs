@@ -1,4 +1,4 @@
-//! Matches: pairs of points that may correspond, and when a transform brings one together.
+//! Matches: pairs of points that may correspond, and the test whether a transform agrees with them.
 
 use nalgebra::{IsometryMatrix3, Rotation3};
 
@@ -6,8 +6,8 @@ use crate::cloud::surface;
 use crate::rigid::moved;
 use snake_geometry::{RigidTransform, Vector};
 
-/// The axis that points up in both clouds may differ by this angle: no sensor is quite level. Unit: degrees. Set by
-/// hand: KITTI sweeps of one drive differ by up to 1.5.
+/// Largest angle between the up axes of both clouds, because no sensor is exactly level. Unit:
+/// degrees. Set by hand: KITTI sweeps of one drive differ by up to 1.5.
 pub(crate) const MAX_TILT: f64 = 5.0;
 
 /// A match: a keypoint and unit normal of the source, with those of its partner in the target.
@@ -23,7 +23,7 @@ pub struct Match {
     pub target_normal: Vector,
 }
 
-/// When a match agrees with a transform, and two matches with each other.
+/// The criteria by which a match agrees with a transform, and two matches with each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Criteria {
     /// The transform brings the points closer than this, in cloud units.
@@ -36,7 +36,7 @@ pub struct Criteria {
 }
 
 impl Criteria {
-    /// Whether a rotation leaves the axis that is known about where it is.
+    /// Whether a rotation keeps the known up axis within the tolerance.
     pub(crate) fn is_level(&self, rotation: &Rotation3<f64>) -> bool {
         let is_near = |axis: Vector| (rotation * axis).dot(&axis) >= MAX_TILT.to_radians().cos();
         self.gravity.is_none_or(is_near)
@@ -44,7 +44,7 @@ impl Criteria {
 }
 
 impl Match {
-    /// Whether a transform brings the points together, and the normals to about one direction.
+    /// Whether a transform brings the points together and aligns their normals.
     pub fn agrees(&self, t_target_source: &RigidTransform, criteria: &Criteria) -> bool {
         self.squared_residual(t_target_source.isometry(), criteria).is_some()
     }

@@ -1,14 +1,14 @@
-//! The six steps of [`register`](crate::register()), each a function that yours can replace:
+//! The six steps of [`register`](crate::register()), functions that you can replace by your own:
 //!
 //! ```text
 //! prepare → describe → match_rows → consensus → refine → judge
 //! ```
 //!
-//! [`prepare()`] downsamples and measures clouds, which can be kept for any number of pairs. A
-//! [`Pair`] of them is described by [`describe()`], matched by [`match_rows()`], and searched for
-//! transforms by [`consensus()`]. [`refine()`] makes candidates of transforms, best first, and
-//! [`judge()`] weighs the best against the others, and [`challenge()`] against turns and shifts that
-//! the search need not have met.
+//! [`prepare()`] downsamples and measures clouds; a prepared cloud serves any number of pairs. For
+//! a [`Pair`], [`describe()`] computes descriptors, [`match_rows()`] matches them, and
+//! [`consensus()`] searches for transforms. [`refine()`] turns the transforms into candidates, best
+//! first. [`judge()`] compares the best candidate with the others. [`challenge()`] compares it with
+//! rotations and shifts that the search may have missed.
 
 pub mod consensus;
 pub mod describe;

@@ -15,15 +15,15 @@ use snake_geometry::{RigidTransform, vector};
 pub struct Pair<'a> {
     clouds: [&'a PreparedCloud; 2],
     criteria: Criteria,
-    /// Whether the sensors, where they are known, show what is free space.
+    /// Whether the known sensors are used to find free space.
     shows_space: bool,
     surfaces: OnceLock<[Surface<'a>; 2]>,
 }
 
 impl<'a> Pair<'a> {
-    /// A pair of clouds that were prepared with the same lengths; those of the target count.
-    /// `gravity` is the axis that points up in both clouds, if it is known. Normals have signs if
-    /// the sensors of both clouds are known.
+    /// A pair of clouds that were prepared with the same lengths; the pair uses the lengths of the
+    /// target. `gravity` is the axis that points up in both clouds, if it is known. Normals are
+    /// signed if the sensors of both clouds are known.
     pub fn new(source: &'a PreparedCloud, target: &'a PreparedCloud, gravity: Option<Axis>) -> Self {
         let signed = source.viewpoint.is_some() && target.viewpoint.is_some();
         let inlier_distance = target.lengths.inlier_distance;
@@ -31,7 +31,7 @@ impl<'a> Pair<'a> {
         Self { clouds: [source, target], criteria, shows_space: true, surfaces: OnceLock::new() }
     }
 
-    /// The same pair, whose normals have no signs and whose sensors are not known.
+    /// The same pair with unsigned normals and without its sensors.
     #[must_use]
     pub fn without_signs(&self) -> Self {
         let criteria = Criteria { signed: false, ..self.criteria };
@@ -76,16 +76,16 @@ impl<'a> Pair<'a> {
         indices.iter().map(matched).collect()
     }
 
-    /// Whether a sensor was taken to be at the origin of a cloud, and opposite normals on the
-    /// overlap show that it was not.
+    /// Whether a sensor was assumed at the origin of a cloud, and opposite normals on the overlap
+    /// contradict that.
     pub fn contradicts_viewpoints(&self, t_target_source: &RigidTransform) -> bool {
         let [source, target] = self.surfaces();
         self.viewpoints().iter().flatten().any(|viewpoint| viewpoint.used == ViewpointUsed::Origin)
             && Surface::opposed(source, target, t_target_source.isometry()) > surface::MAX_OPPOSED
     }
 
-    /// Whether the signs of normals and the free space are doubtful: voxels are too coarse for what
-    /// the sensors see, since much of the clouds is hidden from the places where they are said to be.
+    /// Whether the signs of normals and the free space are doubtful: much of a cloud is hidden from
+    /// its sensor, because the voxels are too coarse for what the sensor sees.
     pub(crate) fn has_doubtful_signs(&self) -> bool {
         self.is_signed() && !self.clouds.iter().all(|cloud| cloud.is_visible())
     }

@@ -7,11 +7,11 @@ use rayon::prelude::*;
 use crate::steps::matches::{self, Criteria, Match};
 use snake_core::{Counter, Result};
 
-/// Two matches are incompatible if a cosine between normals and their connecting line differs by this between the
-/// clouds. Half and twice change no outcome.
+/// Two matches are incompatible if the cosine between their normals, or between a normal and the
+/// connecting line, differs by this or more between the clouds. Half and twice change no outcome.
 const COSINE_TOLERANCE: f32 = 0.3;
-/// Two matches whose points are closer are incompatible: they agree on any transform. Unit: inlier distances. Set by
-/// hand.
+/// Two matches whose points are closer than this are incompatible, because they agree on any
+/// transform. Unit: inlier distances. Set by hand.
 const MIN_EDGE: f32 = 2.0;
 
 /// The adjacency of the graph, a row of bits for each match.
@@ -28,7 +28,7 @@ struct Match32([Vector32; 4]);
 impl Graph {
     pub(super) fn new(matches: &[Match], criteria: &Criteria, counter: &Counter) -> Result<Self> {
         let words = matches.len().div_ceil(64);
-        // Relative to the first match, positions keep their digits.
+        // Positions relative to the first match keep their precision in `f32`.
         let relative = |m: &Match| {
             let (source, target) = (m.source - matches[0].source, m.target - matches[0].target);
             Match32([source, m.source_normal, target, m.target_normal].map(|v| v.map(|v| v as f32).into()))
@@ -67,7 +67,7 @@ impl Graph {
         seeds
     }
 
-    /// A match with at most `size` of its neighbours, those with the most common neighbours.
+    /// A match and at most `size` of its neighbours: those that have the most neighbours in common with it.
     pub(super) fn group(&self, seed: usize, size: usize) -> Vec<usize> {
         let mut group: Vec<(usize, u32)> = self.neighbors(seed).collect();
         group.sort_by_key(|&(i, common)| (Reverse(common), i));

@@ -2,9 +2,9 @@
 //!
 //! Two matches are compatible if one rigid transform can satisfy both: their points are equally far
 //! apart in both clouds, and their normals have the same angles with each other and with the line
-//! between the points. Right matches are compatible with each other, and wrong ones by chance only.
-//! Two matches therefore belong together if many others are compatible with both (second-order
-//! consistency, SC²-PCR, Chen et al. 2022).
+//! between the points. Correct matches are compatible with each other; wrong matches are compatible
+//! only by chance. Two matches therefore belong together if many others are compatible with both
+//! (second-order consistency, SC²-PCR, Chen et al. 2022).
 
 mod graph;
 
@@ -20,8 +20,8 @@ use snake_geometry::{RigidTransform, Vector};
 
 /// Number of transforms that `register` compares on the clouds, at most. Half and twice change no outcome.
 pub(crate) const CANDIDATES: usize = 20;
-/// Number of matches that are compared, at most: the graph has a bit for every pair of them. The range of the option
-/// `max_matches`: 50 MB.
+/// Number of matches that are compared, at most. The graph has a bit for every pair of matches, 50
+/// MB for this number. It is also the largest value of the option `max_matches`.
 const MAX_MATCHES: usize = 20_000;
 /// Number of matches from which transforms are estimated: those with the most support in the graph. Half and twice
 /// change no outcome.
@@ -62,13 +62,13 @@ pub fn consensus(
         Ok(fit_group(&graph.group(seed, GROUP), matches, criteria))
     });
     let mut supported: Vec<Supported> = supported.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
-    // The order of the seeds decides between equals.
+    // The sort is stable: the order of the seeds decides ties.
     supported.sort_by(|a, b| b.support.total_cmp(&a.support));
     let distinct = distinct(&supported, matches, criteria.inlier_distance, count);
     Ok(distinct.into_iter().map(RigidTransform::from).collect())
 }
 
-/// Refuses matches of which there are too many, or of which one is not finite.
+/// Refuses too many matches, and matches that are not finite.
 fn check_matches(matches: &[Match]) -> Result<()> {
     let refused = |reason| Err(Error::Input { what: "matches", reason });
     if matches.len() > MAX_MATCHES {
@@ -84,7 +84,7 @@ fn check_matches(matches: &[Match]) -> Result<()> {
     }
 }
 
-/// The transform of a group of matches, fitted to all inliers while that improves it.
+/// Fits a transform to a group of matches, and again to all inliers while the support grows.
 fn fit_group(group: &[usize], matches: &[Match], criteria: &Criteria) -> Option<Supported> {
     let fit = |pairs: &[(Vector, Vector)]| match criteria.gravity {
         Some(axis) => best_fit(pairs.iter().copied())
@@ -119,7 +119,7 @@ impl Supported {
     }
 }
 
-/// The first `count` transforms that differ in where they move the matches' points.
+/// The first `count` transforms that move the matches' source points to different places.
 fn distinct(
     supported: &[Supported],
     matches: &[Match],
@@ -151,7 +151,7 @@ mod tests {
 
     const CRITERIA: Criteria = Criteria { inlier_distance: 0.03, signed: true, gravity: None };
 
-    /// `inliers` right matches with noise of 0.005, then random ones; normals too.
+    /// `inliers` correct matches with noise of 0.005, then random ones; normals too.
     fn problem(seed: u64, inliers: usize, outliers: usize, truth: &IsometryMatrix3<f64>) -> Vec<Match> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut vectors = |count| random_points(&mut rng, count).into_iter().map(vector).collect::<Vec<Vector>>();

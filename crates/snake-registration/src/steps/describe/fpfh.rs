@@ -131,7 +131,7 @@ fn pair_units(offset: [f32; 3], squared: f32, normal: &[f32; 3], other: &[f32; 3
     }
 }
 
-/// The angle to within 2e-3 radians (a bin has 0.57), by a polynomial of the lesser ratio.
+/// The angle, accurate to 2e-3 radians (a bin has 0.57), by a polynomial in the smaller of the two ratios.
 #[inline]
 fn atan2(y: f32, x: f32) -> f32 {
     let (lesser, greater) = (x.abs().min(y.abs()), x.abs().max(y.abs()));

@@ -59,9 +59,9 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// The descriptors of the keypoints of source and target, by the descriptor of the options with
-/// which they were prepared. FPFH comes as the square roots of its histograms. They are computed
-/// once for a cloud, and once more if one pair knows the signs of its normals and another does not.
+/// The descriptors of the keypoints of source and target. The options with which a cloud was
+/// prepared name its descriptor. FPFH is returned as the square roots of its histograms. A cloud is
+/// described once, and a second time if some of its pairs have signed normals and others do not.
 ///
 /// # Errors
 /// [`Error::Weights`] when a model overflows; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
@@ -70,7 +70,7 @@ pub fn describe<'a>(pair: &Pair<'a>, control: &Control) -> Result<[Rows<'a>; 2]>
     Ok([describe_cloud(source, pair.is_signed(), control)?, describe_cloud(target, pair.is_signed(), control)?])
 }
 
-/// The descriptors of a cloud's keypoints; with `signed`, of normals with a sign.
+/// The descriptors of a cloud's keypoints; with `signed`, from signed normals.
 pub(crate) fn describe_cloud<'a>(cloud: &'a PreparedCloud, signed: bool, control: &Control) -> Result<Rows<'a>> {
     let dimension = cloud.voxels.dimension(cloud.descriptor)?;
     let slot = &cloud.rows[usize::from(signed)];
@@ -122,7 +122,7 @@ impl VoxelCloud {
         }
     }
 
-    /// FPFH of voxels, of normals with a sign or without one.
+    /// FPFH of voxels, from signed or unsigned normals.
     fn fpfh_rows(&self, voxels: &[usize], signed: bool, control: &Control) -> Result<Vec<f32>> {
         let slot = &self.fpfh[usize::from(signed)];
         let all = match slot.get() {
@@ -137,9 +137,9 @@ impl VoxelCloud {
     }
 }
 
-/// The square roots of histograms `(N, dimension)` of sum 1, flat. Their Euclidean distance is the
-/// Hellinger distance of the histograms, which small bins count in as well as large ones (RootSIFT,
-/// Arandjelović and Zisserman 2012).
+/// Divides histograms `(N, dimension)`, flat, by their sums and takes square roots. Euclidean
+/// distances between rows are then proportional to the Hellinger distances of the histograms, in
+/// which small bins count as well as large ones (RootSIFT, Arandjelović and Zisserman 2012).
 fn hellinger(histograms: &mut [f32], dimension: usize) {
     for row in histograms.chunks_exact_mut(dimension) {
         let sum: f32 = row.iter().sum();
@@ -149,10 +149,10 @@ fn hellinger(histograms: &mut [f32], dimension: usize) {
     }
 }
 
-/// Descriptors `(K, FPFH_DIMENSION)`, flat, of keypoints `(K, 3)` of a cloud `(N, 3)`: the square
-/// roots of FPFH histograms, of normals without a sign. They do not change when the cloud moves,
-/// and [`mutual_nearest`](crate::mutual_nearest) matches those of two clouds of about the same
-/// size: as in [`register`](crate::register()), the neighbourhood is a part of the size.
+/// Descriptors `(K, FPFH_DIMENSION)`, flat, of keypoints `(K, 3)` of a cloud `(N, 3)`: the square roots
+/// of FPFH histograms, from unsigned normals. They are invariant to rigid motion of the cloud.
+/// [`mutual_nearest`](crate::mutual_nearest) matches those of two clouds of about the same size, because
+/// the radius of the neighbourhood is a share of the size, as in [`register`](crate::register()).
 ///
 /// # Errors
 /// [`Error::Input`] for a cloud without finite points or without extent, and for keypoints that are

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 
 use snake_core::{Counter, Result};
 
-/// Source rows of one product.
+/// Number of source rows in one matrix product.
 const ROWS_PER_TILE: usize = 64;
-/// Products that are computed in parallel.
+/// Number of products that are computed in parallel.
 const TILES_PER_ROUND: usize = 32;
 
 /// The nearest row and the squared distances to it and to the second nearest.
@@ -25,8 +25,8 @@ impl NearestRow {
     }
 }
 
-/// The score of rows a and b is `a·b - |b|²/2`; it is greatest for the b nearest to a, because
-/// `|a - b|² = |a|² - 2 (a·b - |b|²/2)`. These are the greatest score, its row, and the second greatest.
+/// The greatest score of a row, the row that has it, and the second greatest score. The score of rows a and
+/// b is `a·b - |b|²/2`. It is greatest for the b nearest to a, because `|a - b|² = |a|² - 2 (a·b - |b|²/2)`.
 #[derive(Clone, Copy)]
 struct BestTwo {
     row: u32,
@@ -44,7 +44,7 @@ impl BestTwo {
 /// Number of scores that are compared at once.
 const LANES: usize = 16;
 
-/// The best two scores in each lane. Of equal scores the first counts.
+/// The best two scores in each lane. The first of equal scores wins.
 #[derive(Clone, Copy)]
 struct Lanes {
     rows: [u32; LANES],
@@ -55,7 +55,7 @@ struct Lanes {
 impl Lanes {
     const NONE: Self = Self { rows: [0; LANES], best: [f32::NEG_INFINITY; LANES], second: [f32::NEG_INFINITY; LANES] };
 
-    /// Takes a score in each lane, all of `row`. Without branches it is a few vector instructions.
+    /// Inserts a score of `row` into each lane. Without branches, this is a few vector instructions.
     #[inline]
     fn insert(&mut self, row: u32, scores: [f32; LANES]) {
         let Self { rows, best, second } = *self;
@@ -67,7 +67,7 @@ impl Lanes {
         };
     }
 
-    /// Takes what other lanes have, whose rows come later.
+    /// Merges lanes whose rows come later.
     fn merge(&mut self, later: &Self) {
         for (lane, (&row, &best)) in later.rows.iter().zip(&later.best).enumerate() {
             let second = greater(self.second[lane], later.second[lane]);
@@ -98,13 +98,13 @@ impl Lanes {
     }
 }
 
-/// The greater of two numbers that are not NaN: one instruction, other than `f32::max`.
+/// The greater of two numbers that are not NaN. It is one instruction, unlike `f32::max`.
 #[inline]
 fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Scores of up to LANES products; lanes without one never count.
+/// Scores of up to LANES products; lanes without a product have the score -∞.
 #[inline]
 fn scores(products: &[f32], half_norm: impl Fn(usize) -> f32) -> [f32; LANES] {
     match <&[f32; LANES]>::try_from(products) {
@@ -113,8 +113,8 @@ fn scores(products: &[f32], half_norm: impl Fn(usize) -> f32) -> [f32; LANES] {
     }
 }
 
-/// For each row of `source` `(N, dimension)` the nearest of `target` `(M, dimension)`, and for each
-/// of `target` the nearest of `source`. Both are empty if one of the arrays is.
+/// The nearest row of `target` `(M, dimension)` for each row of `source` `(N, dimension)`, and the
+/// nearest row of `source` for each row of `target`. Both are empty if one of the arrays is empty.
 pub(super) fn nearest_both(
     source: &[f32],
     target: &[f32],
@@ -150,7 +150,7 @@ pub(super) fn nearest_both(
     };
     let (mut source_best, mut target_best) = (Vec::new(), vec![Lanes::NONE; count.div_ceil(LANES)]);
     let tiles: Vec<(usize, &[f32])> = source.chunks(ROWS_PER_TILE * dimension).enumerate().collect();
-    // The results of a round are held in memory; the number of threads does not matter.
+    // Only the results of one round are held in memory. They do not depend on the number of threads.
     for round in tiles.chunks(TILES_PER_ROUND) {
         for (rows, columns) in round.par_iter().map(|&rows| tile(rows)).collect::<Result<Vec<_>>>()? {
             source_best.extend(rows);

@@ -1,4 +1,4 @@
-//! A cloud with everything that pairs need of it.
+//! A prepared cloud with everything that its pairs need.
 
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -18,7 +18,7 @@ use crate::options::{Descriptor, RegisterOptions};
 use snake_core::{Control, Model, Result};
 use snake_geometry::{FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, check_points};
 
-/// A motion of a cloud onto itself, and the share of the cloud's matches with itself that agree on it.
+/// A motion that maps a cloud onto itself, and the share of the cloud's self-matches that agree with it.
 pub(crate) type SelfMotion = (IsometryMatrix3<f64>, f64);
 
 /// A cloud with its voxels, normals, sensor and keypoints. Descriptors and planar patches are
@@ -37,10 +37,10 @@ pub struct PreparedCloud {
     /// Keypoints, each with the index of the nearest voxel.
     pub(crate) keypoints: Vec<(Point, usize)>,
     pub(crate) descriptor: Descriptor,
-    /// Descriptors of the keypoints: of normals without a sign, and with one.
+    /// Descriptors of the keypoints: from unsigned normals, and from signed ones.
     pub(crate) rows: [OnceLock<Vec<f32>>; 2],
     fine: OnceLock<FineCloud>,
-    /// The motions under which the cloud looks like itself: of normals without a sign, and with one.
+    /// The motions under which the cloud is self-similar: from unsigned normals, and from signed ones.
     pub(crate) self_motions: [OnceLock<Vec<SelfMotion>>; 2],
 }
 
@@ -104,14 +104,14 @@ impl PreparedCloud {
         voxel_size(self.diameter)
     }
 
-    /// Whether most of the cloud is visible from its sensor, as far as its voxels can show; not where
-    /// the sensor is not known.
+    /// Whether most of the cloud's voxels are visible from its sensor; false if the sensor is not
+    /// known.
     pub(crate) fn is_visible(&self) -> bool {
         let (voxels, distance) = (&self.voxels.voxels.points, self.lengths.inlier_distance);
         self.viewpoint.is_some_and(|viewpoint| viewpoint.sees_most_of(voxels, distance))
     }
 
-    /// The voxels, for pairs closer than `distance`; `signed` normals point to the sensor.
+    /// The voxels as a surface for pairs closer than `distance`; `signed` normals point to the sensor.
     pub(crate) fn surface(&self, signed: bool, distance: f64) -> Surface<'_> {
         let viewpoint = self.viewpoint.filter(|_| signed).map(|viewpoint| viewpoint.place());
         Surface::new(&self.voxels.voxels.points, &self.voxels.normals, viewpoint, distance)
@@ -128,7 +128,7 @@ impl PreparedCloud {
     }
 }
 
-/// The points of a cloud that count: finite, without missing returns.
+/// The points of a cloud that are used: finite ones, without missing returns and outliers.
 pub(super) struct UsedPoints<'a> {
     pub(super) points: Cow<'a, [Point]>,
     num_skipped: usize,

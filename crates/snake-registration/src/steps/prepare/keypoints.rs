@@ -21,8 +21,8 @@ impl VoxelCloud {
     /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
     /// [`Error::DeadlineExceeded`](snake_core::Error::DeadlineExceeded).
     pub fn keypoints(&self, detector: Detector, count: usize, seed: u64, control: &Control) -> Result<Vec<Point>> {
-        // More keypoints than points add no information, and matching takes time in the square of
-        // their number.
+        // More keypoints than points add no information, and the time of matching grows with the
+        // square of their number.
         let count = count.min(self.points.len());
         match detector {
             Detector::Voxels => Ok(self.voxel_sample(count, seed).map(|index| self.voxel_mean(index)).collect()),
@@ -41,8 +41,8 @@ impl VoxelCloud {
     }
 
     /// `count` keypoints `(K, 3)` in the cloud's frame, best first, that are spread over the cloud
-    /// (see [`suppress_to_count`]); fewer if the detector finds fewer. Voxels have no rank: they
-    /// are drawn by the seed.
+    /// (see [`suppress_to_count`]); fewer if the detector finds fewer. Voxels have no rank: the
+    /// seed decides their order.
     ///
     /// # Errors
     /// The errors of [`VoxelCloud::keypoints`].
@@ -54,7 +54,7 @@ impl VoxelCloud {
         control: &Control,
     ) -> Result<Vec<Point>> {
         let ranked = match detector {
-            // These are spread by themselves.
+            // Farthest-point sampling already spreads its keypoints.
             Detector::Fps => return self.keypoints(detector, count, seed, control),
             Detector::Voxels => self.keypoints(Detector::Random, self.voxels.points.len(), seed, control)?,
             _ => self.keypoints(detector, self.voxels.points.len(), seed, control)?,

@@ -10,16 +10,16 @@ use crate::steps::prepare::voxel_size as default_voxel_size;
 use snake_core::Result;
 use snake_geometry::{Length, Neighbors, Point, resolution};
 
-/// Voxels are made larger for clouds whose neighbouring voxels are farther apart than this. Half and twice change no
-/// outcome; for the time of sparse clouds beside dense ones.
+/// Voxels are enlarged for clouds whose neighbouring voxels are farther apart than this many voxel
+/// sizes. Half and twice change no outcome; it saves time for a sparse cloud beside a dense one.
 const MAX_SPACING: f64 = 6.0;
-/// Radius of the neighbourhood of a normal, unless it is given. Unit: spacings of the voxels. Half and twice lose a
-/// made pair.
+/// Radius of the neighbourhood of a normal, unless it is given. Unit: spacings of the voxels. Half
+/// and twice lose a synthetic pair.
 const NORMAL_SPACINGS: f64 = 2.0;
-/// Radius of the neighbourhood of FPFH, unless it is given. Unit: spacings of the voxels. Half and twice lose a made
-/// pair.
+/// Radius of the neighbourhood of FPFH, unless it is given. Unit: spacings of the voxels. Half and
+/// twice lose a synthetic pair.
 const FEATURE_SPACINGS: f64 = 5.0;
-/// Inlier distance, unless it is given. Unit: spacings of the voxels. Half and twice lose a made pair.
+/// Inlier distance, unless it is given. Unit: spacings of the voxels. Half and twice lose a synthetic pair.
 const INLIER_SPACINGS: f64 = 1.5;
 
 /// The lengths with which clouds are prepared, in cloud units. Clouds that are registered with each
@@ -65,7 +65,7 @@ pub(super) struct GivenLengths {
 }
 
 impl GivenLengths {
-    /// Resolves the lengths of the options; multiples of a resolution refer to the coarser cloud.
+    /// Resolves the lengths of the options. Multiples of a resolution refer to the coarser of two clouds.
     pub(super) fn new(options: &RegisterOptions, clouds: &[Cow<[Point]>]) -> Result<Self> {
         let given = [options.voxel_size, options.normal_radius, options.feature_radius, options.inlier_distance];
         let is_multiple = |length: &Option<Length>| matches!(length, Some(Length::Resolutions(_)));
@@ -86,9 +86,9 @@ impl GivenLengths {
         })
     }
 
-    /// Downsamples clouds with the voxel size that is given or suits the smaller cloud, and
-    /// completes the lengths by the spacing of the voxels. `downsample` makes the voxels of all
-    /// clouds.
+    /// Downsamples clouds with the given voxel size, or with one that suits the smaller cloud. The
+    /// spacing of the voxels then gives the lengths that the options do not set. `downsample` makes
+    /// the voxels of all clouds.
     pub(super) fn downsample(
         &self,
         diameters: &[f64],
@@ -97,8 +97,8 @@ impl GivenLengths {
         let mut voxel_size = self.voxel_size.unwrap_or(default_voxel_size(lower_median(diameters)));
         let mut voxels = downsample(voxel_size)?;
         let mut spacing = spacing(&voxels, voxel_size);
-        // The radii follow from the spacing: in a cloud that is much denser, they would hold
-        // thousands of voxels.
+        // The radii are multiples of the spacing: in a much denser cloud they would hold thousands
+        // of voxels.
         if spacing > MAX_SPACING * voxel_size {
             voxel_size = spacing / 2.0;
             voxels = downsample(voxel_size)?;
@@ -115,21 +115,21 @@ impl GivenLengths {
     }
 }
 
-/// The distance between neighbouring voxels. In a sparse cloud most voxels hold one point, and it
-/// exceeds the voxel size.
+/// The distance between neighbouring voxels. In a sparse cloud most voxels hold one point, and the
+/// distance exceeds the voxel size.
 fn spacing(voxels: &[Neighbors], voxel_size: f64) -> f64 {
     let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
     voxel_size.max(upper_median(&resolutions))
 }
 
-/// The median of at least one number; of an even count the lower of the middle two, as of two
-/// clouds the smaller.
+/// The lower median of at least one number: for an even count, the lower of the middle two. For two
+/// clouds, it is the value of the smaller one.
 fn lower_median(values: &[f64]) -> f64 {
     sorted(values)[(values.len() - 1) / 2]
 }
 
-/// The median of at least one number; of an even count the upper of the middle two, as of two
-/// clouds the coarser.
+/// The upper median of at least one number: for an even count, the upper of the middle two. For two
+/// clouds, it is the value of the coarser one.
 fn upper_median(values: &[f64]) -> f64 {
     sorted(values)[values.len() / 2]
 }

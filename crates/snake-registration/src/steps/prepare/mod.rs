@@ -1,4 +1,4 @@
-//! Step 1: clouds are downsampled and measured once, for all pairs that they are part of.
+//! Step 1: each cloud is downsampled and measured once, for all its pairs.
 
 mod cloud;
 mod keypoints;
@@ -26,8 +26,8 @@ use lengths::GivenLengths;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Neighbors, Point};
 
-/// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given. Half and twice lose a made
-/// pair.
+/// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given. Half
+/// and twice lose a synthetic pair.
 const VOXELS_PER_DIAMETER: f64 = 80.0;
 
 /// The default voxel size of a cloud of this diameter.
@@ -65,7 +65,7 @@ pub fn prepare(
     )
 }
 
-/// [`prepare`] of clouds as they are given.
+/// [`prepare`] for clouds and options in one struct.
 fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
     let Given { points: clouds, names, options, .. } = given;
     let model = options.model_to_run(given.model)?;
@@ -90,7 +90,7 @@ fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
     Ok(PreparedClouds { clouds, lengths })
 }
 
-/// An error in a cloud says which cloud.
+/// Adds the name or the index of the cloud to an error.
 fn name_cloud(error: Error, index: usize, names: &[&'static str]) -> Error {
     match (error, names.get(index)) {
         (Error::Input { reason, .. }, Some(name)) => Error::Input { what: name, reason },

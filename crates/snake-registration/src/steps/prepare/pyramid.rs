@@ -7,17 +7,17 @@ use crate::options::RegisterOptions;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Length, Point};
 
-/// Voxels beside the finer ones of a further try. Unit: ratio of sides. Of 24 pairs of made sweeps 13 and 17 m apart 11
-/// are reliable, 5 without (`sweeps` in tests/verdict.rs).
+/// Voxel size relative to that of a further try on finer voxels. Unit: ratio of sides. Of 24 pairs of synthetic
+/// sweeps 13 and 17 m apart, 11 are reliable with this try and 5 without (`sweeps` in tests/verdict.rs).
 const FINER: f64 = 3.0;
-/// Voxel size of one scale beside that of the next. Clouds of half to twice the usual size share a scale. Unit: ratio
-/// of lengths. Set by hand.
+/// Ratio of the voxel sizes of neighbouring scales. Clouds of half to twice the usual size share a
+/// scale. Unit: ratio of lengths. Set by hand.
 const SCALE_RATIO: f64 = 4.0;
 
-/// Clouds `(N, 3)` as they are given, and how they are prepared.
+/// Clouds `(N, 3)` as given, and how they are to be prepared.
 pub(crate) struct Given<'a> {
     pub(crate) points: Vec<&'a [Point]>,
-    /// The names of the clouds in errors; their indices without.
+    /// The names of the clouds in errors; without names, errors give indices.
     pub(crate) names: &'static [&'static str],
     /// The position of each sensor in the frame of its cloud, where it is known.
     pub(crate) viewpoints: Vec<Option<[f64; 3]>>,
@@ -36,7 +36,7 @@ impl Given<'_> {
         Ok(Level { clouds: prepare_given(self, control)?, members })
     }
 
-    /// Some clouds, ascending, with voxels of a side in cloud units.
+    /// The clouds `members`, ascending, with voxels whose side is `side` in cloud units.
     fn prepare_at(&self, members: Vec<usize>, side: f64, control: &Control) -> Result<Level> {
         let given = Given {
             points: members.iter().map(|&cloud| self.points[cloud]).collect(),
@@ -60,12 +60,12 @@ impl Level {
         self.members.binary_search(&cloud).ok().map(|place| &self.clouds.clouds[place])
     }
 
-    /// The clouds among `candidates` that have much more points than voxels, on finer voxels, if there
-    /// are at least two; `None` if a length is given.
+    /// Prepares the clouds among `candidates` that have many more points than voxels on finer
+    /// voxels; `None` if there are fewer than two, or if the options give a length.
     ///
     /// # Errors
-    /// [`Error::Cancelled`] and [`Error::DeadlineExceeded`]. Clouds that other errors keep from being
-    /// prepared have no finer voxels.
+    /// [`Error::Cancelled`] and [`Error::DeadlineExceeded`], and errors of the fine voxels. Other
+    /// errors of the preparation give `None`.
     pub(crate) fn finer(
         &self,
         given: &Given,
@@ -88,19 +88,19 @@ impl Level {
     }
 }
 
-/// Clouds of different size: each set of them has the voxels that suit the smallest.
+/// Clouds of different sizes. Clouds are compared on the voxels that suit the smallest of them.
 pub(crate) struct Pyramid {
     usual: Level,
-    /// The scale of each cloud, 0 for the usual one, as a power of `scale_ratio`.
+    /// The scale of each cloud as a power of `SCALE_RATIO`; 0 is the usual one.
     scales: Vec<i32>,
-    /// The other scales: the clouds of this size and larger ones.
+    /// The levels of the other scales, each with the clouds of its scale and larger ones.
     others: BTreeMap<i32, Level>,
-    /// By scale, the clouds with much more points than voxels, on finer voxels.
+    /// The clouds of each scale that have many more points than voxels, on finer voxels.
     finer: BTreeMap<i32, Level>,
 }
 
 impl Pyramid {
-    /// All clouds with the usual voxels, and with those of larger and smaller scales that clouds have.
+    /// Prepares all clouds with the usual voxels, and with the voxels of every other scale that occurs.
     pub(crate) fn new(given: &Given, control: &Control) -> Result<Self> {
         let usual = given.prepare(control)?;
         let voxel_size = usual.clouds.lengths.voxel_size;
@@ -137,17 +137,17 @@ impl Pyramid {
         clouds.iter().map(|&cloud| self.scales[cloud]).min().unwrap_or(0)
     }
 
-    /// A cloud with the voxels of its own size or a smaller one.
+    /// A cloud with the voxels of a scale: its own or a smaller one.
     pub(crate) fn cloud(&self, cloud: usize, scale: i32) -> &PreparedCloud {
         self.level(scale).cloud(cloud).unwrap_or(&self.usual()[cloud])
     }
 
-    /// A cloud with much more points than voxels, on finer voxels.
+    /// A cloud on finer voxels, if it has many more points than voxels.
     pub(crate) fn finer(&self, cloud: usize, scale: i32) -> Option<&PreparedCloud> {
         self.finer.get(&scale)?.cloud(cloud)
     }
 
-    /// A cloud with the voxels of its own size.
+    /// A cloud with the voxels of its own scale.
     pub(crate) fn own(&self, cloud: usize) -> &PreparedCloud {
         self.cloud(cloud, self.scales[cloud])
     }

@@ -16,7 +16,7 @@ pub(crate) struct Viewpoint {
 }
 
 impl Viewpoint {
-    /// The viewpoint of a cloud as given, or as its points tell.
+    /// The given viewpoint of a cloud, or else the one that is estimated from its points.
     pub(super) fn new(points: &[Point], given: Option<[f64; 3]>) -> Option<Self> {
         if let Some(given) = given {
             return Some(Self { sensor: Sensor::at(given, points), used: ViewpointUsed::Given });
@@ -30,7 +30,7 @@ impl Viewpoint {
         self.sensor.position.into()
     }
 
-    /// Whether most of a cloud is visible, as far as its voxels can show.
+    /// Whether most voxels of a cloud are visible from the sensor.
     pub(super) fn sees_most_of(&self, voxels: &[Vector], inlier_distance: f64) -> bool {
         DepthImage::new(voxels, self.place(), inlier_distance, COARSE).visible_share(voxels) >= MIN_VISIBLE
     }

@@ -11,15 +11,15 @@ use crate::options::no_model;
 use snake_core::{Control, Field, Model, Options, Result};
 use snake_geometry::{FinitePoints, Length, Neighbors, Normalization, NormalizationMethod, Point, Vector, vector};
 
-/// Scenes are normalised to the cube, which they fill better than the sphere that suits objects. A
-/// cube cannot be rotated within itself.
+/// Clouds are normalised to the cube, which scenes fill better than the sphere that suits objects.
+/// A cube cannot be rotated within itself, so there are no rotated copies.
 const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
 
 /// A cloud downsampled to voxels, with normals. It finds keypoints by every
 /// [`Detector`](crate::Detector) and describes points by every [`Descriptor`](crate::Descriptor).
-/// What these need is computed once and kept. Only [`Detector::Snake`](crate::Detector::Snake) and
-/// [`Descriptor::Field`](crate::Descriptor::Field) need a model, which [`VoxelCloud::with_model`]
-/// adds.
+/// Intermediate results are computed once and kept. Only
+/// [`Detector::Snake`](crate::Detector::Snake) and [`Descriptor::Field`](crate::Descriptor::Field)
+/// need a model, which [`VoxelCloud::with_model`] adds.
 pub struct VoxelCloud {
     pub(crate) voxels: Neighbors,
     pub(crate) normals: Vec<Vector>,
@@ -31,7 +31,7 @@ pub struct VoxelCloud {
     /// The model of the field, and the options of its keypoints and field.
     model: Option<(Model, Options)>,
     field: OnceLock<Field>,
-    /// FPFH of all voxels: of normals without a sign, and with one.
+    /// FPFH of all voxels: from unsigned normals, and from signed ones.
     pub(crate) fpfh: [OnceLock<Vec<f32>>; 2],
 }
 
@@ -76,9 +76,9 @@ impl VoxelCloud {
         })
     }
 
-    /// The options of the model's keypoints and field: those that it recommends, but in the unit
-    /// cube, without rotated copies, and with every salient point, moved onto the surface, at least
-    /// `voxel_size` from the others.
+    /// The options of the model's keypoints and field. They are the recommended ones, but in the
+    /// unit cube and without rotated copies. Every salient point is a keypoint: it moves onto the
+    /// surface and is at least `voxel_size` from the others.
     pub fn default_options(model: &Model, voxel_size: f64) -> Options {
         let recommended = *model.recommended();
         let encode = recommended.encode.with_normalization(NORMALIZATION).with_rotations(1);

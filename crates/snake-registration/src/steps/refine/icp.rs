@@ -15,9 +15,9 @@ const TOLERANCE: f64 = 1e-5;
 /// Refines a rough transform by point-to-plane ICP (Chen and Medioni 1991, linearised).
 ///
 /// Each source point is paired with its nearest target point and moved towards that point's tangent
-/// plane. Pairs farther apart than the target's grid finds are ignored. Directions that the
-/// geometry does not constrain, as with a single plane, are not changed. With `gravity`, the
-/// rotation is about this axis only.
+/// plane. Pairs beyond the distance of the target's grid are ignored. Directions that the geometry
+/// does not constrain, as on a single plane, do not change. With `gravity`, only rotations about
+/// this axis are allowed.
 pub(crate) fn one_way_icp(
     source: &[Vector],
     target: &Surface,
@@ -30,8 +30,8 @@ pub(crate) fn one_way_icp(
     iterate(pairs, rough, gravity, (max_iterations, target.grid.distance()), counter)
 }
 
-/// [`one_way_icp`] with pairs in both directions whose normals agree, and with the mean of their
-/// normals (as in Rusinkiewicz 2019). It is closer to the truth and takes twice the time.
+/// [`one_way_icp`] with pairs in both directions whose normals agree, and with the mean of the two
+/// normals (as in Rusinkiewicz 2019). It is more accurate and takes twice the time.
 pub(crate) fn symmetric_icp(
     surfaces: &[Surface; 2],
     rough: IsometryMatrix3<f64>,
@@ -43,8 +43,8 @@ pub(crate) fn symmetric_icp(
     iterate(pairs, rough, gravity, (max_iterations, surfaces[1].grid.distance()), counter)
 }
 
-/// Steps to the planes of the pairs until they no longer move, or at most so many; tolerances are
-/// relative to a distance.
+/// Repeats least-squares steps onto the planes of the pairs until the transform converges, at most
+/// `max_iterations` times. The tolerance of the translation is relative to `distance`.
 pub(crate) fn iterate(
     pairs: impl Fn(&IsometryMatrix3<f64>) -> Vec<PlanePair>,
     rough: IsometryMatrix3<f64>,
@@ -65,8 +65,8 @@ pub(crate) fn iterate(
 }
 
 /// The transform after one step of [`symmetric_icp`] with every `step`-th point, and the
-/// information matrix of its pairs, of a small rotation and then translation in the target frame;
-/// `None` without pairs.
+/// information matrix of its pairs; `None` without pairs. The matrix is that of a small rotation
+/// and then a small translation in the target frame.
 pub(crate) fn remeasure(
     surfaces: [&Surface; 2],
     transform: &IsometryMatrix3<f64>,
@@ -111,7 +111,7 @@ mod tests {
         one_way_icp(source, &target, rough, gravity, 30, &Counter::default()).unwrap()
     }
 
-    /// A surface with the normals of the faces ±1, which point to the middle of the cube.
+    /// The normals of points on the faces ±1, which point to the centre of the cube.
     fn with_normals(points: &[Vector]) -> Vec<Vector> {
         let normal = |p: &Vector| Vector::from_fn(|axis, _| if p[axis].abs() == 1.0 { -p[axis] } else { 0.0 });
         points.iter().map(|p| normal(p).normalize()).collect()
@@ -138,7 +138,7 @@ mod tests {
         let left = |result: IsometryMatrix3<f64>| (result * truth.inverse()).translation.vector.norm();
         let result = symmetric_icp(&surfaces, rough, None, 30, &Counter::default()).unwrap();
         assert!(left(result) < 5e-3, "{result}");
-        // Without the normals, the walls of both count.
+        // If the normals do not select the pairs, the walls of both rooms count.
         assert!(left(one_way_icp(&room, &surfaces[1], rough, None, 30, &Counter::default()).unwrap()) > 0.02);
         // One step from the truth stays there, and each of the pairs counts.
         let (stays, information) = remeasure(surfaces.each_ref(), &truth, 1).unwrap();

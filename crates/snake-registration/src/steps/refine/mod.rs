@@ -1,4 +1,4 @@
-//! Step 5: ICP refines transforms, and the clouds rank them.
+//! Step 5: ICP refines the transforms, and their fit to the clouds ranks them.
 
 pub(crate) mod icp;
 pub(crate) mod patches;
@@ -22,11 +22,11 @@ const COARSE_STEPS: usize = 5;
 const MIN_REFINED: usize = 3;
 /// A guess is first refined with pairs up to this far apart. Unit: inlier distances. Half and twice change no outcome.
 const WIDE: f64 = 4.0;
-/// Two candidates are one if the clouds are not moved farther apart than this (root mean square). Unit: inlier
-/// distances. Set by hand.
+/// Two candidates count as one if they put the source's points at most this far apart (root mean
+/// square). Unit: inlier distances. Set by hand.
 pub(crate) const MIN_DIFFERENCE: f64 = 2.0;
-/// Weight of a single match that supports a transform, beside the overlap. Unit: overlap per transform. Chosen on pairs
-/// of hotel_uc and redkitchen that overlap by 0.1 to 0.3.
+/// Weight of a single match that supports a transform, relative to the overlap. Unit: overlap per
+/// transform. Chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3.
 const SUPPORT_WEIGHT: f64 = 0.002;
 /// Weight of the violated free space of a finer image, where single matches are compared. Unit: overlap per share of
 /// violated free space. Chosen on pairs of hotel_uc and redkitchen that overlap by 0.1 to 0.3.
@@ -43,12 +43,12 @@ pub struct Candidate {
     /// Root mean square distance of these matches before ICP, in cloud units; 0 without any.
     pub rmse: f64,
     pub(crate) agreement: Agreement,
-    /// What single matches and the fine free space add to the score, where they were compared.
+    /// The part of the score from single matches and the fine free space, if they were compared.
     support: Option<f64>,
 }
 
 impl Candidate {
-    /// A transform of any origin, measured on the clouds and the matches as it is.
+    /// Measures a transform from any source on the clouds and the matches, without refining it.
     pub fn measure(pair: &Pair, matches: &[Match], t_target_source: &RigidTransform) -> Self {
         let [source, target] = pair.surfaces();
         let transform = t_target_source.isometry();
@@ -73,25 +73,25 @@ impl Candidate {
     }
 
     /// The score that ranks candidates: the overlap, less twice the violated free space, plus 0.005
-    /// for each inlier. Where single matches were compared, those that support the transform add
-    /// 0.002 each, and violations of a finer image of the free space count six times.
+    /// for each inlier. Where single matches were compared, each that supports the transform adds
+    /// 0.002, and violations of a finer image of the free space are subtracted six times.
     pub fn score(&self) -> f64 {
         self.agreement.score(self.num_inliers) + self.support.unwrap_or_default()
     }
 
-    /// By how much the score exceeds that of the next candidate, where single matches were compared;
-    /// all of it without another.
+    /// The lead of the score over that of the next candidate, if single matches were compared.
+    /// Without a next candidate, it is the whole score.
     pub(crate) fn lead(&self, next: Option<&Self>) -> Option<f64> {
         self.support.map(|_| self.score() - next.map_or(0.0, Self::score))
     }
 }
 
-/// The best of the transforms, refined by ICP, best first and distinct: at least `count` of them,
-/// where there are so many.
+/// Refines transforms by ICP and returns the best distinct ones, best first: at most `count` or 3
+/// of them, whichever is more.
 ///
-/// All are compared after a few ICP steps on some of the voxels. The best are refined by symmetric
-/// ICP on all voxels, and the very best on planar patches, if the clouds are much finer than their
-/// voxels. Without `icp_steps` transforms stay as they are.
+/// All transforms are compared after a few ICP steps on some of the voxels. Symmetric ICP then
+/// refines the best of them on all voxels. The very best is refined on planar patches if both
+/// clouds are much finer than their voxels. If `icp_steps` is 0, the transforms stay as they are.
 ///
 /// # Errors
 /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
@@ -113,8 +113,8 @@ pub fn refine(
     refine_by(measure, pair, guesses, icp_steps, count, control)
 }
 
-/// [`refine`] of transforms of single matches beside others. The support of the single matches and a
-/// finer image of the free space rank them too.
+/// [`refine`] for transforms of single matches beside others. The support of the single matches and
+/// a finer image of the free space also enter the score.
 pub(crate) fn refine_supported(
     pair: &Pair,
     matches: &[Match],
@@ -128,7 +128,7 @@ pub(crate) fn refine_supported(
     let images = surfaces.each_ref().map(Surface::fine_image);
     let measure = |_: &IsometryMatrix3<f64>, refined: &IsometryMatrix3<f64>, step| {
         let agreement = Surface::agreement(&surfaces[0], &surfaces[1], refined, step);
-        // The angle of a single match is rough: what agrees with its transform shows after ICP.
+        // The angle of a single match is rough, so the matches are counted under the refined transform.
         let (num_inliers, rmse) = inliers(matches, refined, pair.criteria());
         let violation = Surface::violation(surfaces, &images, refined, step);
         let support = SUPPORT_WEIGHT * voters.support(refined) as f64 - FINE_VIOLATION_WEIGHT * violation;
@@ -137,8 +137,8 @@ pub(crate) fn refine_supported(
     refine_by(measure, pair, guesses, icp_steps, count, control)
 }
 
-/// The best of the transforms after ICP. `measure` takes a guess, its refined transform and the step
-/// from one voxel that is looked at to the next.
+/// The best of the transforms after ICP. `measure` takes a guess, its refined transform and the
+/// step between the voxels that are used.
 fn refine_by(
     measure: impl Fn(&IsometryMatrix3<f64>, &IsometryMatrix3<f64>, usize) -> Candidate + Sync,
     pair: &Pair,
@@ -160,7 +160,7 @@ fn refine_by(
         let refined = level(criteria, |gravity| one_way_icp(&coarse, target, *guess, gravity, steps, &counter))?;
         Ok((*guess, measure(guess, &refined, step)))
     });
-    // Otherwise the best few may all be one transform, and a rival is not seen.
+    // Without this, the best few may all be the same transform and hide a rival.
     let mut candidates = distinct(candidates.collect::<Result<_>>()?, &coarse, criteria.inlier_distance);
     candidates.truncate(MIN_REFINED.max(count));
     for (guess, candidate) in &mut candidates {
@@ -183,7 +183,7 @@ fn refine_by(
     Ok(candidates)
 }
 
-/// A guess after ICP with distant pairs, for [`refine`].
+/// Refines a guess by ICP with distant pairs, as a start for [`refine`].
 ///
 /// # Errors
 /// [`Error::Cancelled`](snake_core::Error::Cancelled) and
@@ -200,8 +200,8 @@ pub fn approach(pair: &Pair, guess: &RigidTransform, icp_steps: usize, control: 
     Ok(transform.into())
 }
 
-/// The transform after ICP with any rotation or, where that tilts a known axis too far, with one
-/// about the axis.
+/// The transform after ICP with a free rotation. If that tilts the known up axis too far, ICP runs
+/// again with rotations about this axis only.
 fn level(
     criteria: &Criteria,
     icp: impl Fn(Option<Vector>) -> Result<IsometryMatrix3<f64>>,
@@ -210,13 +210,13 @@ fn level(
     if criteria.is_level(&free.rotation) { Ok(free) } else { icp(criteria.gravity) }
 }
 
-/// A transform before ICP, and what ICP made of it.
+/// A transform before ICP, and the candidate after ICP.
 type Refined = (IsometryMatrix3<f64>, Candidate);
 
-/// The candidates best first, without those that move the points to about the same places as a
+/// Sorts candidates best first and drops those that move the points to about the same places as a
 /// better one.
 fn distinct(mut candidates: Vec<Refined>, points: &[Vector], inlier_distance: f64) -> Vec<Refined> {
-    // The order decides between equals.
+    // The sort is stable: the order decides ties.
     candidates.sort_by(|(_, a), (_, b)| b.score().total_cmp(&a.score()));
     let mut distinct: Vec<Refined> = Vec::new();
     for (guess, candidate) in candidates {

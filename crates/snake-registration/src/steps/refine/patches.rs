@@ -8,14 +8,14 @@ use crate::cloud::planes::PlanePair;
 use snake_core::{Counter, Result};
 use snake_geometry::Vector;
 
-/// Distance between pairs of planar patches and number of steps, round by round. Unit: fine voxels, steps. Set for time
-/// (0.08 instead of 0.11 s of CPU for a pair of made streets).
+/// Largest distance between paired patches, and number of steps, for each round. Unit: fine voxels,
+/// steps. Set for time (0.08 instead of 0.11 s of CPU for a pair of synthetic streets).
 const PATCH_ROUNDS: [(f64, usize); 2] = [(4.0, 4), (2.0, 8)];
 /// Pairs of patches farther apart than this are left out. Unit: medians of all pairs. Half and twice change no outcome.
 const MAX_MEDIANS: f64 = 4.0;
 
-/// Refines a transform on the planar patches of both clouds, each weighed by its noise: a far wall is measured worse than
-/// a near one. Clouds that are hardly finer than their voxels keep it.
+/// Refines a transform on the planar patches of both clouds. Each patch is weighted by its noise: a far wall is
+/// measured less precisely than a near one. Clouds that are hardly finer than their voxels keep the rough transform.
 pub(crate) fn refine_on_patches(
     clouds: [&FineCloud; 2],
     rough: IsometryMatrix3<f64>,
@@ -34,7 +34,7 @@ pub(crate) fn refine_on_patches(
     Ok(transform)
 }
 
-/// The pairs whose planes are not much farther than the median, with weights of mean 1; none if there are too few pairs.
+/// Drops pairs whose planes are much farther than the median, and scales the mean weight to 1; none if there are too few.
 fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
     if pairs.len() < patches::MIN_PAIRS {
         return Vec::new();

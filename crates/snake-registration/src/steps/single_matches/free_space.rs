@@ -1,4 +1,4 @@
-//! The space through which a sensor looked, in cells.
+//! Free space: the cells of a grid through which a sensor looked.
 
 use rayon::prelude::*;
 
@@ -8,7 +8,7 @@ use snake_geometry::Vector;
 /// Number of cells of a grid, at most; a cloud of greater extent gets larger cells.
 const MAX_CELLS: f64 = 1e6;
 
-/// A grid of cells around a cloud that tells which are free.
+/// A grid of cells around a cloud, each of them free or not.
 pub(super) struct FreeSpace {
     corner: Vector,
     side: f64,
@@ -17,7 +17,7 @@ pub(super) struct FreeSpace {
 }
 
 impl FreeSpace {
-    /// The cells of this side, at least, around finite points.
+    /// The cells around finite points, whose sides are at least `side`.
     pub(super) fn new(points: &[Vector], image: &DepthImage, side: f64) -> Self {
         let corner = points.iter().copied().reduce(|a, b| a.inf(&b)).unwrap_or_default();
         let extent = points.iter().copied().reduce(|a, b| a.sup(&b)).unwrap_or_default() - corner;

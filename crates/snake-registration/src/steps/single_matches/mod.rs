@@ -1,10 +1,10 @@
-//! Transforms from single matches, for pairs of which too few matches are right for a consensus.
+//! Transforms from single matches, for pairs with too few correct matches for a consensus.
 //!
-//! A match of two points with normals leaves one angle open, about the normal. What lies around the
-//! two points tells it: under the right angle surfaces meet surfaces, and none lies where the other
-//! sensor looked through. One right match is then enough, where a consensus needs three, and the
-//! transforms of right matches support each other. (SCVC, IEEE Transactions on Image Processing
-//! 2024, also searches by single matches and lets free space judge.)
+//! A match of two points with normals leaves one angle open: the rotation about the normal. The
+//! surroundings of the two points determine it: under the correct angle, surfaces meet surfaces, and no
+//! surface lies in the free space of the other sensor. One correct match is then enough, where a
+//! consensus needs three. The transforms of correct matches support each other. (SCVC, IEEE Transactions
+//! on Image Processing 2024, also searches by single matches and uses free space to evaluate them.)
 
 mod free_space;
 mod surroundings;
@@ -28,9 +28,9 @@ use surroundings::{AZIMUTHS, Oriented, Scene, Surroundings};
 const RADIUS: f64 = 16.0;
 /// Side of the cells that tell free space. Unit: inlier distances. Set by hand.
 const FREE_SIDE: f64 = 1.3;
-/// Every so many of a cloud's voxels are looked at. Set for time: with 1, 2 and 3 as many pairs of scenes are right.
+/// Step between the used voxels of a cloud. Set for time: with 1, 2 and 3, as many pairs of scenes are correct.
 const SCENE_STEP: usize = 4;
-/// Number of transforms that support each other, at most: those whose surroundings fit best. Set by hand.
+/// Number of transforms that can support each other, at most: those whose surroundings fit best. Set by hand.
 const MAX_VOTERS: usize = 500;
 /// A transform supports another that brings the points of its match closer than this. Unit: inlier distances. Set by
 /// hand.
@@ -56,8 +56,8 @@ pub(crate) struct Voters {
 }
 
 impl Voters {
-    /// The transforms of matches of keypoints by their indices `[source, target]`; none unless the
-    /// sensors of both clouds are known, since without free space the surroundings tell too little.
+    /// The transforms of matches, given as keypoint indices `[source, target]`. There are none unless
+    /// both sensors are known: without free space, the surroundings are not distinctive enough.
     pub(crate) fn new(pair: &Pair, matches: &[[usize; 2]], control: &Control) -> Result<Self> {
         let num_keypoints = pair.clouds().map(|cloud| cloud.keypoints.len());
         let counter = control.begin("surroundings", num_keypoints.iter().sum());
@@ -66,13 +66,13 @@ impl Voters {
         let vote = |&[from, to]: &[usize; 2]| best_voter(source[from].as_ref()?, target[to].as_ref()?);
         let mut all: Vec<Voter> = matches.par_iter().filter_map(vote).collect();
         all.retain(|voter| pair.criteria().is_level(&voter.transform.rotation));
-        // The order of the matches decides between equals.
+        // The sort is stable: the order of the matches decides ties.
         all.sort_by_key(|voter| Reverse(voter.score));
         all.truncate(MAX_VOTERS);
         Ok(Self { all, support_distance: SUPPORT_DISTANCE * pair.criteria().inlier_distance })
     }
 
-    /// Number of single matches whose transforms are about this one.
+    /// Number of single matches whose transforms are close to this one.
     pub(crate) fn support(&self, transform: &IsometryMatrix3<f64>) -> usize {
         self.all.iter().filter(|voter| self.supports(voter, transform)).count()
     }
@@ -82,11 +82,11 @@ impl Voters {
             && transform.rotation.angle_to(&voter.transform.rotation) < SUPPORT_ANGLE.to_radians()
     }
 
-    /// At most `count` distinct transforms, that with most support first.
+    /// At most `count` distinct transforms, the best supported first.
     pub(crate) fn transforms(&self, count: usize) -> Vec<IsometryMatrix3<f64>> {
         let support: Vec<usize> = self.all.par_iter().map(|voter| self.support(&voter.transform)).collect();
         let mut order: Vec<usize> = (0..self.all.len()).collect();
-        // The better score decides between equals.
+        // The better score decides ties.
         order.sort_by_key(|&voter| Reverse(support[voter]));
         let mut distinct: Vec<IsometryMatrix3<f64>> = Vec::new();
         for voter in order.into_iter().map(|voter| &self.all[voter]) {
@@ -130,7 +130,7 @@ fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -
     cloud.keypoints.par_iter().zip(is_matched).map(place).collect()
 }
 
-/// The transform of a match with the best turn about the normal.
+/// The transform of a match with the best rotation about the normal.
 fn best_voter((from, around): &Place, (to, target): &Place) -> Option<Voter> {
     let score = |turn: u32| (around.score(target, turn), Reverse(turn));
     let (score, Reverse(turn)) = (0..AZIMUTHS).map(score).max()?;

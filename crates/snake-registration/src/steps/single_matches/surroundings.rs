@@ -1,4 +1,4 @@
-//! What lies around a point: surfaces and free space in bins of a cylinder about its normal.
+//! The surroundings of a point: surfaces and free space in bins of a cylinder about its normal.
 
 use super::RADIUS;
 use std::f64::consts::TAU;
@@ -15,7 +15,7 @@ const HALF_HEIGHT: f64 = 12.0;
 
 /// Number of rings around the axis.
 const RINGS: usize = 8;
-/// Number of slabs across the axis; those in the middle hold the tangent plane.
+/// Number of slabs perpendicular to the axis. The middle two contain the tangent plane.
 const SLABS: usize = 12;
 const CELLS: usize = RINGS * SLABS;
 /// Number of steps of the azimuth, the bits of a cell.
@@ -29,16 +29,16 @@ pub(super) struct Oriented {
 }
 
 impl Oriented {
-    /// Two unit vectors across the normal, the axes of its azimuth. The first is the same for the
-    /// opposite normal.
+    /// Two unit vectors perpendicular to the normal, from which its azimuth is measured. The first
+    /// is the same for the opposite normal.
     pub(super) fn across(&self) -> [Vector; 2] {
         let axis = Vector::ith(self.normal.iamin(), 1.0);
         let y = (axis - self.normal * self.normal.dot(&axis)).normalize();
         [y, self.normal.cross(&y)]
     }
 
-    /// The motion that lays this point on another, with the normals alike, after a rotation about
-    /// the normal by so many turns.
+    /// The motion that maps this point and normal onto another, after a rotation about the normal
+    /// by `turns` full turns.
     pub(super) fn laid_on(&self, other: &Self, turns: f64) -> IsometryMatrix3<f64> {
         let frame = |oriented: &Self| {
             let [y, z] = oriented.across();
@@ -71,7 +71,7 @@ pub(super) struct Scene {
 }
 
 impl Surroundings {
-    /// What lies within `radius` of a place, and within `HALF_HEIGHT` along its normal.
+    /// The surroundings within `RADIUS` of a place, and within `HALF_HEIGHT` along its normal.
     pub(super) fn new(place: &Oriented, scene: &Scene, inlier_distance: f64) -> Self {
         let ring = RADIUS * inlier_distance / RINGS as f64;
         let slab = 2.0 * HALF_HEIGHT * inlier_distance / SLABS as f64;
@@ -110,7 +110,7 @@ impl Surroundings {
         self.along[cell] | self.across[cell]
     }
 
-    /// The surroundings with surfaces in the next bins too: normals have errors.
+    /// The surroundings with surfaces in the next bins too, because normals have errors.
     pub(super) fn dilated(&self) -> Self {
         let dilate = |cells: &[u32; CELLS]| {
             std::array::from_fn(|cell| {
@@ -124,9 +124,9 @@ impl Surroundings {
         Self { along: dilate(&self.along), across: dilate(&self.across), free: self.free }
     }
 
-    /// The number of bins whose surfaces meet surfaces of the other surroundings after a turn about
-    /// the axis, less those that lie in free space. A tangent plane meets another everywhere, so it
-    /// does not count.
+    /// The score after a rotation about the axis: the number of bins whose surfaces meet surfaces
+    /// of the other surroundings, less the number of bins with a surface in free space. Surfaces
+    /// meet in the tangent plane after any rotation, so its bins do not add to the score.
     pub(super) fn score(&self, other: &Self, turn: u32) -> i32 {
         let mut score = 0;
         for cell in 0..CELLS {
