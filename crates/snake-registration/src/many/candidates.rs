@@ -14,9 +14,9 @@ const SAMPLES: usize = 16_000;
 /// Number of rounds of k-means. Set by hand.
 const WORD_ROUNDS: usize = 10;
 
-/// The pairs `[source, target]` that are worth a registration, source above target, ordered. Each
+/// The pairs `[source, target]` that are worth a registration, sorted, with source > target. Each
 /// cloud is paired with the `count` clouds whose descriptors are most similar, and with the next
-/// cloud, because scans are often in sequence. Few clouds are all paired.
+/// cloud, because scans are often in sequence. If there are few clouds, all pairs are taken.
 pub(super) fn pairs(clouds: &[PreparedCloud], count: usize, control: &Control) -> Result<Vec<[usize; 2]>> {
     let all = (1..clouds.len()).flat_map(|source| (0..source).map(move |target| [source, target]));
     if clouds.len().saturating_sub(1) <= count {
@@ -34,7 +34,7 @@ pub(super) fn pairs(clouds: &[PreparedCloud], count: usize, control: &Control) -
     Ok(chosen)
 }
 
-/// The cosines between the clouds' vectors of residuals to the words (VLAD, Jégou et al. 2010).
+/// The cosines between the clouds' VLAD vectors of residuals to the words (Jégou et al. 2010).
 fn similarities(clouds: &[PreparedCloud], control: &Control) -> Result<Vec<Vec<f32>>> {
     let signed = clouds.iter().all(|cloud| cloud.viewpoint.is_some());
     let described: Vec<Rows> =
@@ -53,7 +53,7 @@ fn nearest(row: &[f32], words: &[f32], dimension: usize) -> usize {
     distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
-/// The means of k-means on a sample of the descriptors, `(words, dimension)`.
+/// The cluster means of k-means on a sample of the descriptors, `(words, dimension)`.
 fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32>> {
     let total: usize = rows.iter().map(|rows| rows.len() / dimension).sum();
     let all = rows.iter().flat_map(|rows| rows.chunks_exact(dimension));
@@ -79,7 +79,7 @@ fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32
     Ok(words)
 }
 
-/// For each word the sum of the offsets of its descriptors, each word's and the whole of length 1.
+/// The VLAD vector: each word's sum of residuals is scaled to length 1, and then the whole vector.
 fn aggregate(rows: &[f32], words: &[f32], dimension: usize) -> Vec<f32> {
     let mut sums = vec![0.0_f32; words.len()];
     for row in rows.chunks_exact(dimension) {

@@ -8,8 +8,8 @@ use snake_core::{Counter, Result};
 
 use super::pose_graph::{Link, covariances, optimize};
 
-/// Links that contradict the others are dropped at once if their error is above this share of the greatest. Unit: share
-/// of the greatest error. Set by hand.
+/// Contradicting links are dropped together if their error is above this share of the greatest
+/// error. Unit: share of the greatest error. Set by hand.
 const DROPPED: f64 = 0.5;
 
 /// Clouds that links connect.
@@ -22,10 +22,10 @@ pub(super) struct Part {
     pub(super) links: Vec<(usize, f64)>,
 }
 
-/// The parts of `count` clouds, those with the most clouds first. Links that contradict the others
-/// by more than the greatest of their part's `thresholds` (cloud units) are dropped, the worst
-/// first: one outlier link can pull a pose away from many inliers. Poses start from the links with
-/// the least `doubts`.
+/// The parts of `count` clouds, those with the most clouds first. Links whose error exceeds the
+/// greatest of their part's `thresholds` (cloud units) contradict the others and are dropped, the
+/// worst first: one outlier link can pull a pose away from many inliers. Poses start from the links
+/// with the least `doubts`.
 pub(super) fn split(
     count: usize,
     links: &[Link],
@@ -58,7 +58,7 @@ pub(super) fn split(
     }
 }
 
-/// The parts with the poses of their spanning trees, which take the first of `order` that connect.
+/// The connected parts, with poses from spanning trees. A tree takes the first links of `order` that connect clouds.
 fn connected(count: usize, links: &[Link], order: &[usize]) -> Vec<Part> {
     let mut part_of: Vec<usize> = (0..count).collect();
     let mut poses = vec![IsometryMatrix3::identity(); count];
@@ -113,7 +113,7 @@ impl Part {
         covariances(&self.poses, &self.own_links(links), variance)
     }
 
-    /// The links with the clouds numbered within the part.
+    /// The links of the part, with the clouds numbered within the part.
     fn own_links(&self, links: &[Link]) -> Vec<Link> {
         let within: HashMap<usize, usize> = self.clouds.iter().enumerate().map(|(at, &cloud)| (cloud, at)).collect();
         let own = self.links.iter().map(|&(index, _)| {

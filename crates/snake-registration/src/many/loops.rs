@@ -1,4 +1,4 @@
-//! What loops of three transforms say about each of them.
+//! Loops of three transforms, as evidence about each of them.
 
 use std::collections::HashMap;
 
@@ -17,21 +17,21 @@ pub(super) struct Witness {
     pub(super) target: usize,
     pub(super) t_target_source: IsometryMatrix3<f64>,
     pub(super) confidence: f64,
-    /// Whether the clouds leave more than one answer: no loop outvotes that.
+    /// Whether the clouds allow more than one answer; no loop outweighs that.
     pub(super) is_ambiguous: bool,
     /// A loop is closed if it moves points by less than this (root mean square), or that of another
     /// of its transforms.
     pub(super) distance: f64,
 }
 
-/// The probability that each transform is wrong in spite of its own evidence and the loops of three
-/// that it closes.
+/// The probability that each transform is wrong, given its own evidence and the loops of three
+/// transforms that it closes.
 ///
-/// Two right transforms and a third that closes their loop prove each other. Wrong transforms close
-/// a loop by chance only: `(1 - own) Π (1 - a b)` over the closed loops, with the own probabilities
-/// a and b of the other two. These are reliable by themselves: two clouds of one thing fit a third
-/// that lacks it in the same wrong way, which closes a loop of doubtful transforms. A loop is
-/// closed if it moves the points of `probes[cloud]` little.
+/// Two correct transforms confirm a third that closes their loop, because wrong transforms close a loop
+/// only by chance. The probability is `(1 - own) Π (1 - a b)` over the closed loops, with the confidences
+/// a and b of the other two transforms. Only loops count whose other two transforms are reliable by
+/// themselves: two clouds of one object fit a third that lacks it in the same wrong way, which closes a
+/// loop of doubtful transforms. A loop is closed if it moves the points of `probes[cloud]` little.
 pub(super) fn doubts(witnesses: &[Witness], probes: &[Vec<Vector>]) -> Vec<f64> {
     let mut by_cloud: Vec<HashMap<usize, usize>> = vec![HashMap::new(); probes.len()];
     for (index, witness) in witnesses.iter().enumerate() {

@@ -28,16 +28,16 @@ use priors::Priors;
 use progress::{Progress, Trial};
 pub use result::{Alignment, Contradiction, Edge, Pose};
 
-/// Number of clouds, at most: the poses are solved for in one dense matrix. Set by hand.
+/// Number of clouds, at most: one dense matrix solves for all poses. Set by hand.
 const MAX_CLOUDS: usize = 500;
 
 /// Finds the poses of clouds `(N, 3)` that overlap in part, without initial guesses.
 ///
 /// All clouds have the same units. Pairs with similar descriptors are registered as by
-/// [`register`](crate::register()), whose verdict decides: a transform counts if it is reliable, or if
-/// it is not ambiguous and loops of three transforms prove it. The poses fit these transforms, each weighed by its information matrix;
-/// those that contradict the others lose their weight. Clouds that no chain of transforms links are
-/// in different parts. A detector or descriptor that runs a model gets it from [`align_with`].
+/// [`register`](crate::register()), whose verdict decides: a transform is used if it is reliable, or if it is not
+/// ambiguous and loops of three transforms confirm it. The poses fit these transforms, each weighted by its
+/// information matrix. Transforms that contradict the others lose their weight. Clouds that no chain of transforms
+/// links are in different parts. [`align_with`] takes the model for a detector or descriptor that runs one.
 ///
 /// ```
 /// use snake_core::RigidTransform;
@@ -61,7 +61,7 @@ pub fn align(clouds: &[impl AsRef<[Point]> + Sync], options: &RegisterOptions) -
     align_with(clouds, &AlignPriors::default(), None, options, &AlignOptions::default(), &Control::default())
 }
 
-/// [`align`] with what is known of the clouds, with the model of the detector `snake` or the
+/// [`align`] with prior knowledge of the clouds, with the model for the detector `snake` or the
 /// descriptor `field`, and with progress and cancellation.
 ///
 /// # Errors
@@ -117,7 +117,7 @@ fn missing_notes(clouds: &[PreparedCloud]) -> impl Iterator<Item = String> {
     })
 }
 
-/// A question about the units of each cloud whose size differs much from that of the median one.
+/// A question about the units of each cloud whose size differs much from that of the median cloud.
 fn units_notes(clouds: &[PreparedCloud]) -> Vec<String> {
     let mut diameters: Vec<f64> = clouds.iter().map(|cloud| cloud.diameter).collect();
     diameters.sort_by(f64::total_cmp);

@@ -1,7 +1,7 @@
 //! Robust least squares over poses that are linked by measured transforms.
 //!
-//! This is a dense Levenberg-Marquardt of one page. The factor-graph crates that were looked at
-//! bring a second version of nalgebra and about a hundred crates, for graphs far larger than ours.
+//! This is a dense Levenberg-Marquardt of one page. The factor-graph crates would bring a second
+//! version of nalgebra and about a hundred crates, for graphs far larger than ours.
 
 use nalgebra::{DMatrix, DVector, IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 
@@ -11,9 +11,9 @@ use snake_geometry::Vector;
 
 /// Number of steps with one set of robust weights. Set by hand.
 const POSE_STEPS: usize = 8;
-/// A link with a larger squared error has no weight; it is also the widest kernel. The poses start from the most
-/// reliable links, and without the limit some wrong links that agree with each other outvote them. Unit: squared
-/// thresholds. Set by hand.
+/// A link with a larger squared error has no weight. This is also the width of the widest kernel.
+/// The poses start from the most reliable links, and without the limit, some wrong links that agree
+/// with each other outvote them. Unit: squared thresholds. Set by hand.
 const WIDEST: f64 = 100.0;
 /// Factor by which the kernel narrows from one round to the next. Unit: ratio of widths. Set by hand.
 const NARROWING: f64 = 1.6;
@@ -28,22 +28,22 @@ pub(super) struct Link {
     pub(super) source: usize,
     pub(super) target: usize,
     pub(super) t_target_source: IsometryMatrix3<f64>,
-    /// Of a small rotation and then translation in the target frame: the sum over `count` pairs of
-    /// points.
+    /// Information matrix of a small rotation and then a small translation in the target frame: the
+    /// sum over `count` pairs of points.
     pub(super) information: Matrix6<f64>,
 }
 
 impl Link {
-    /// The error `(rotation vector, translation)` of two poses: it moves the measured transform to
-    /// that of the poses.
+    /// The error `(rotation vector, translation)` of two poses: the motion from the measured
+    /// transform to that of the poses.
     fn residual(&self, poses: &[IsometryMatrix3<f64>]) -> Vector6<f64> {
         let error = poses[self.target].inverse() * poses[self.source] * self.t_target_source.inverse();
         let (rotation, translation) = (rotation_vector(&error.rotation), error.translation.vector);
         Vector6::new(rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z)
     }
 
-    /// The derivatives of the residual by a small motion of source and target, each in its own
-    /// frame.
+    /// The derivatives of the residual with respect to small motions of source and target, each in
+    /// its own frame.
     fn jacobians(&self, residual: &Vector6<f64>) -> [Matrix6<f64>; 2] {
         let rotation: Vector = residual.fixed_rows::<3>(0).into();
         let translation: Vector = residual.fixed_rows::<3>(3).into();
@@ -63,20 +63,20 @@ impl Link {
         [source, target]
     }
 
-    /// The mean squared distance to the tangent planes by which the poses move the pairs of points:
-    /// comparable between links, in squared cloud units.
+    /// The mean squared distance, along the planes' normals, between the pairs under the poses and
+    /// under the measured transform, in squared cloud units. It is comparable between links.
     pub(super) fn squared_error(&self, poses: &[IsometryMatrix3<f64>]) -> f64 {
         let residual = self.residual(poses);
         (self.information * residual).dot(&residual) / self.count()
     }
 
-    /// Each pair of points adds the square of a unit normal to the diagonal of the translations.
+    /// The number of pairs: each adds the square of a unit normal to the diagonal of the translations.
     fn count(&self) -> f64 {
         self.information.fixed_view::<3, 3>(3, 3).trace().max(f64::MIN_POSITIVE)
     }
 }
 
-/// The derivative of `log(R Exp(ω))` by ω at 0, for R = Exp(rotation).
+/// The derivative of `log(R Exp(ω))` with respect to ω at 0, for R = Exp(rotation).
 fn inverse_right_jacobian(rotation: &Vector) -> Matrix3<f64> {
     let (angle, cross) = (rotation.norm(), rotation.cross_matrix());
     let second =
@@ -84,10 +84,10 @@ fn inverse_right_jacobian(rotation: &Vector) -> Matrix3<f64> {
     Matrix3::identity() + 0.5 * cross + second * cross * cross
 }
 
-/// Optimises the poses; the first stays. The weights of links whose error exceeds `threshold`
-/// (cloud units) fall towards zero (kernel of Geman and McClure), after rounds with wider kernels
-/// (graduated non-convexity, Yang et al. 2020). Links far from the poses have no weight unless a
-/// round brings them closer.
+/// Optimises the poses; the first one is fixed. The weights of links whose error exceeds
+/// `threshold` (cloud units) fall towards zero (kernel of Geman and McClure), after rounds with
+/// wider kernels (graduated non-convexity, Yang et al. 2020). Links far from the poses have no
+/// weight unless a round brings them closer.
 pub(super) fn optimize(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
@@ -111,7 +111,7 @@ pub(super) fn optimize(
     }
 }
 
-/// Optimises the poses; the first stays, and each link has its weight.
+/// Optimises the poses; the first one is fixed, and each link has its weight.
 pub(super) fn least_squares(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
@@ -180,7 +180,7 @@ fn normal_equations(poses: &[IsometryMatrix3<f64>], links: &[Link], weights: &[f
     (normal, gradient)
 }
 
-/// The matrix with its diagonal raised, and no entry there next to zero.
+/// The matrix with a raised diagonal, whose entries are bounded away from zero.
 fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut damped = normal.clone();
     let least = MIN_DAMPING * normal.diagonal().max();
@@ -190,10 +190,10 @@ fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     damped
 }
 
-/// The covariances of the poses relative to the first, each of a small rotation and then
-/// translation in the pose's own frame. `variance` is that of one distance to a plane, at least; if
-/// loops disagree more, that counts. Directions that the links leave open have a covariance that is
-/// large, but finite.
+/// The covariances of the poses relative to the first, each of a small rotation and then a small
+/// translation in the pose's own frame. `variance` is the least variance of one distance to a
+/// plane; if loops disagree more, their variance is used. Directions that the links leave open have
+/// a large but finite covariance.
 pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
     let (normal, _) = normal_equations(poses, links, &vec![1.0; links.len()]);
     let mut damping = MIN_DAMPING;
@@ -273,8 +273,8 @@ mod tests {
     fn wrong_links_do_not_pull() {
         for wrong in 0..12 {
             let (truth, links) = ring(6, 1e-3, Some(wrong));
-            // The start follows links 0, 2, 4, .., the ring; with a wrong link in it, the other
-            // ones.
+            // The start follows links 0, 2, 4, .. of the ring. A pose whose link is wrong starts
+            // from its true value.
             let mut poses = vec![truth[0]];
             for i in 1..6 {
                 let link = if wrong % 2 == 0 && wrong / 2 == i - 1 { None } else { Some(&links[2 * (i - 1)]) };

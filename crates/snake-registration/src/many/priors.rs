@@ -1,4 +1,4 @@
-//! Initial poses of clouds: transforms to start from, and the check of what is found.
+//! Initial poses of clouds: they start registrations of pairs, and check the results.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -17,12 +17,12 @@ use crate::rigid::{displacement, moved};
 use crate::steps::prepare::{Given, Pyramid};
 use crate::steps::{Pair, approach, refine};
 
-/// A transform contradicts initial poses if it moves the source farther from where they put it. A thing has at least
-/// twice its standard deviation in height, so that a storey is higher. Unit: least standard deviations of a cloud. Set
-/// by hand.
+/// A transform contradicts initial poses if it moves the source farther from where they put it. An
+/// object is at least twice as high as its standard deviation, so a storey exceeds the limit. Unit:
+/// least standard deviations of a cloud. Set by hand.
 const PRIOR_TOLERANCE: f64 = 1.5;
 
-/// Fewer contradictions tell nothing of the poses.
+/// Smallest number of contradictions that give a note on the poses.
 const MIN_CONTRADICTIONS: usize = 3;
 /// Motions with angles that differ by less may be the same. Unit: degrees. Set by hand.
 const SAME_ANGLE: f64 = 3.0;
@@ -34,7 +34,7 @@ pub(super) struct Checked {
     pub(super) contradictions: HashMap<[usize; 2], Contradiction>,
 }
 
-/// The initial poses of clouds in one frame, with the distances that do not contradict them.
+/// The initial poses of clouds in one frame, with the tolerances within which a transform agrees with them.
 pub(super) struct Priors {
     poses: Vec<Option<IsometryMatrix3<f64>>>,
     tolerances: Vec<f64>,
@@ -44,8 +44,8 @@ pub(super) struct Priors {
 }
 
 impl Priors {
-    /// The poses as they are given, none or one for each cloud, and one tolerance for all or that of
-    /// each cloud.
+    /// Takes the given poses, at most one for each cloud, and one tolerance for all clouds. Without
+    /// a tolerance, each cloud has its own.
     pub(super) fn new(
         poses: &[Option<RigidTransform>],
         tolerance: Option<Length>,
@@ -87,8 +87,8 @@ impl Priors {
         self.tolerances[source].min(self.tolerances[target])
     }
 
-    /// The pairs that are worth a registration: those of `pairs` that are not too far apart by the
-    /// poses, and the `count` clouds nearest to each.
+    /// The pairs that are worth a registration: `pairs` and the pairs of each cloud with the
+    /// `count` nearest clouds, without those that are too far apart by the poses.
     pub(super) fn choose(&self, mut pairs: Vec<[usize; 2]>, count: usize) -> Vec<[usize; 2]> {
         let centers: Vec<Option<Vector>> = (0..self.poses.len()).map(|cloud| self.center(cloud)).collect();
         let distance = |a: usize, b: usize| Some((centers[a]? - centers[b]?).norm());
@@ -113,8 +113,8 @@ impl Priors {
         self.poses[cloud].as_ref().map(|pose| moved(pose, &mean))
     }
 
-    /// Registers a pair without another guess: by a search and from its poses, if both have one. What
-    /// contradicts the poses gives way to what is found from them alone, if that is reliable.
+    /// Registers a pair by a search that also starts from its initial poses, if both clouds have one. A result that
+    /// contradicts the poses is replaced by that from the poses alone, if that is reliable and agrees with them.
     pub(super) fn register(
         &self,
         clouds: [usize; 2],
@@ -147,7 +147,7 @@ impl Priors {
         (distance > tolerance).then_some(Contradiction { source, target, distance, tolerance })
     }
 
-    /// The registrations that do not contradict the poses. What is reliable is noted, with how it contradicts.
+    /// The registrations that do not contradict the poses. `checked` records the reliable ones and their contradictions.
     pub(super) fn filter(&self, registered: Vec<Registered>, checked: &mut Checked) -> Vec<Registered> {
         let agrees = |(pair, registration): &Registered| {
             let contradiction = self.contradiction(*pair, registration);
@@ -160,8 +160,8 @@ impl Priors {
         registered.into_iter().filter(agrees).collect()
     }
 
-    /// What may be wrong with the poses, if reliable registrations contradict them: another reading that leaves less than half
-    /// of the contradictions, or nothing known if most contradict.
+    /// A note on what may be wrong with the poses, if reliable registrations contradict them: another interpretation
+    /// that leaves less than half of the contradictions, or general advice if most registrations contradict.
     pub(super) fn note(&self, checked: &Checked) -> Option<String> {
         let (reliable, count) = (&checked.reliable, self.poses.len());
         let contradictions = checked.contradictions.len();
@@ -186,7 +186,7 @@ impl Priors {
             as_text.sort_by_key(|place| (first + place).to_string());
             as_text.into_iter().map(|place| self.poses[place]).collect::<Vec<_>>()
         };
-        // In other axes of the sensor a motion has the same angle, and about the same length.
+        // In other sensor axes, a motion has the same angle and about the same length.
         let is_same_motion = |pair, found: &IsometryMatrix3<f64>| {
             self.t_target_source(pair).is_some_and(|prior| {
                 let lengths = [found, &prior].map(|motion| motion.translation.vector.norm());

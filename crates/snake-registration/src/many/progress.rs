@@ -1,4 +1,4 @@
-//! The steps from pairs of clouds to poses, and what they note on the way.
+//! The steps from pairs of clouds to poses, with the notes that they collect.
 
 use rayon::prelude::*;
 
@@ -25,13 +25,13 @@ pub(super) type Trial = ([usize; 2], Option<RigidTransform>);
 /// Source and target with their registration.
 pub(super) type Registered = ([usize; 2], Registration);
 
-/// An alignment on its way: what is given, and what its steps noted.
+/// An alignment in progress: what is given, and the notes of its steps.
 pub(super) struct Progress<'a> {
     given: &'a Given<'a>,
     pyramid: &'a Pyramid,
     priors: &'a Priors,
     control: &'a Control,
-    /// What agreed with the initial poses, and what contradicted them.
+    /// The reliable registrations of pairs with initial poses, and their contradictions.
     checked: Checked,
     /// Notes on pairs that are not reliable by themselves.
     left_out: Vec<([usize; 2], String)>,
@@ -42,20 +42,20 @@ impl<'a> Progress<'a> {
         Self { given, pyramid, priors, control, checked: Checked::default(), left_out: Vec::new() }
     }
 
-    /// The poses by the registrations of pairs.
+    /// Registers the pairs and solves for the poses.
     pub(super) fn first_look(&mut self, pairs: &[Trial]) -> Result<Solved> {
         let registered = self.register_pairs(pairs)?;
         solve(self.pyramid, self.judged(registered)?, self.given.options, self.control)
     }
 
-    /// The poses with a second look at pairs that would join parts.
+    /// Registers again the pairs that would join parts, and solves for the poses.
     pub(super) fn second_look(&mut self, solved: Solved) -> Result<Solved> {
         let closer = self.look_again(&solved)?;
         let closer = self.judged(closer)?;
         solved.with(closer, self.pyramid, self.given.options, self.control)
     }
 
-    /// The poses with the other pairs of clouds that overlap by them, and the number of these.
+    /// Registers other pairs that overlap by the poses, and solves again. Returns the number of these pairs too.
     pub(super) fn by_poses(&mut self, solved: Solved) -> Result<(Solved, usize)> {
         let guided = solved.guesses(self.pyramid);
         let more = self.register_pairs(&guided)?;
@@ -63,9 +63,9 @@ impl<'a> Progress<'a> {
         Ok((solved.with(more, self.pyramid, self.given.options, self.control)?, guided.len()))
     }
 
-    /// The registrations that do not contradict the initial poses. Those that would be believed give way to what
-    /// [`register`](crate::register()) finds for the pair alone, and a note names each that is then not reliable. What
-    /// poses were given for is judged with them.
+    /// Keeps the registrations that do not contradict the initial poses. Those that would take part in
+    /// the pose graph are replaced by what [`register`](crate::register()) finds for the pair alone, and
+    /// a note names each that is then not reliable. Pairs with initial poses are not registered alone.
     fn judged(&mut self, registered: Vec<Registered>) -> Result<Vec<Registered>> {
         let registered = self.priors.filter(registered, &mut self.checked);
         let mut pairs = believed(self.pyramid, &registered);
@@ -99,7 +99,7 @@ impl<'a> Progress<'a> {
         contradictions
     }
 
-    /// What may be wrong with the initial poses and the clouds, and the pairs that are left out.
+    /// Notes on the initial poses, on the clouds, and on the pairs that are left out.
     pub(super) fn notes(&self, solved: &Solved) -> Vec<String> {
         let clouds = self.pyramid.usual();
         let mut left_out: Vec<_> = self.left_out.iter().filter(|(pair, _)| !solved.follows(*pair)).collect();
@@ -109,7 +109,7 @@ impl<'a> Progress<'a> {
         self.priors.note(&self.checked).into_iter().chain(of_clouds).chain(left_out).collect()
     }
 
-    /// The registrations of all pairs for which there is a transform.
+    /// Registers all pairs and leaves out those without a transform.
     fn register_pairs(&self, pairs: &[Trial]) -> Result<Vec<Registered>> {
         let Self { pyramid, priors, given: Given { options, .. }, .. } = *self;
         register_each("pairs", pairs, self.control, |([source, target], guess), control| {
@@ -127,8 +127,8 @@ impl<'a> Progress<'a> {
         })
     }
 
-    /// Registers the most confident of the pairs that are not reliable and would join parts again: a few
-    /// for each part, of clouds that have finer voxels, with the cost of that try.
+    /// Registers unreliable pairs that would join parts again, on finer voxels: the most confident
+    /// few for each part. As for any further try, their confidence is lowered.
     fn look_again(&self, solved: &Solved) -> Result<Vec<Registered>> {
         let (pyramid, options) = (self.pyramid, self.given.options);
         let joining = solved.joining(SECOND_LOOKS);
@@ -143,7 +143,7 @@ impl<'a> Progress<'a> {
     }
 }
 
-/// The registrations of what is tried, without those for which there is no transform.
+/// Runs all trials and leaves out those without a transform.
 fn register_each<T: Sync>(
     stage: &'static str,
     trials: &[T],

@@ -16,12 +16,12 @@ const REFINE_ROUNDS: usize = 30;
 /// The last refinement ends when no cloud moves by more than this. Unit: inlier distances. Set by hand.
 const REFINE_TOLERANCE: f64 = 0.01;
 
-/// Refines the poses of a part on the points of the pairs of clouds that overlap, given by their
-/// places in the part, as are `surfaces`.
+/// Refines the poses of a part on the points of its overlapping clouds. `pairs` are pairs of places
+/// in the part, and `surfaces` are in the same order as its clouds.
 ///
 /// Each round pairs some of the points by the poses, takes one step of ICP for every pair of clouds
-/// and fits the poses to these steps. A transform that was measured from two clouds alone bends to
-/// where their own distortions fit best; here each cloud lies between all that it overlaps.
+/// and fits the poses to these steps. A transform that is measured from two clouds alone fits their
+/// own distortions; here each cloud is balanced between all clouds that it overlaps.
 pub(super) fn refine(
     part: &mut Part,
     pairs: &[[usize; 2]],

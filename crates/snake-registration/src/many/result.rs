@@ -95,13 +95,13 @@ pub struct Contradiction {
 }
 
 impl Alignment {
-    /// A sentence for a user who does not look at the parts, where there are several.
+    /// A warning for the user if there are several parts.
     pub fn warning(&self) -> Option<String> {
         let parts = self.parts.len();
         (parts > 1).then(|| format!("the clouds are in {parts} parts, which nothing reliable connects"))
     }
 
-    /// Adds what is to be said of the files of the clouds to the notes.
+    /// Adds notes about the files of the clouds.
     #[must_use]
     pub fn with_notes_on_clouds(mut self, notes: &[Vec<String>]) -> Self {
         for (cloud, notes) in notes.iter().enumerate() {

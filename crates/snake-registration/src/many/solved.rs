@@ -35,10 +35,10 @@ fn max_doubt() -> f64 {
     1.0 - judge::RELIABLE
 }
 
-/// Poses that follow registrations.
+/// Poses that were solved from registrations.
 pub(super) struct Solved {
     registered: Vec<Registered>,
-    /// Indices of the registrations that take part.
+    /// Indices of the registrations that take part in the pose graph.
     kept: Vec<usize>,
     /// Their probabilities of being wrong.
     doubts: Vec<f64>,
@@ -47,7 +47,7 @@ pub(super) struct Solved {
     pub(super) parts: Vec<Part>,
 }
 
-/// Believes registrations by their own evidence and by loops, and fits the poses to them.
+/// Selects registrations by their own evidence and by loops, and fits the poses to them.
 pub(super) fn solve(
     pyramid: &Pyramid,
     registered: Vec<Registered>,
@@ -79,7 +79,7 @@ pub(super) fn solve(
     Ok(Solved { registered, kept, doubts, links, parts })
 }
 
-/// The pairs whose registrations would take part in the poses.
+/// The pairs whose registrations would take part in the pose graph.
 pub(super) fn believed(pyramid: &Pyramid, registered: &[Registered]) -> Vec<[usize; 2]> {
     let probes: Vec<Vec<Vector>> = (0..pyramid.len()).map(|cloud| probes(pyramid.own(cloud))).collect();
     let doubts = all_doubts(pyramid, registered, &probes).into_iter();
@@ -103,7 +103,7 @@ fn surfaces<'a>(part: &Part, cloud: impl Fn(usize) -> &'a PreparedCloud + Sync) 
 }
 
 impl Solved {
-    /// The pairs without a link in use whose clouds overlap by the poses, with their transforms.
+    /// The pairs of clouds that overlap by the poses but have no link in use, with the transforms of the poses.
     pub(super) fn guesses(&self, pyramid: &Pyramid) -> Vec<Trial> {
         let used = self.parts.iter().flat_map(|part| part.links.iter().map(|(index, _)| &self.links[*index]));
         let linked: HashSet<[usize; 2]> = used.map(|link| [link.source, link.target]).collect();
@@ -121,9 +121,9 @@ impl Solved {
         guesses
     }
 
-    /// The registrations that are not reliable and would join two parts, the most confident first: at
-    /// most `count` for each part, and more where the other part has fewer. What repeats itself does
-    /// so at any size of voxels.
+    /// The registrations that are not reliable and would join two parts, the most confident first.
+    /// Each part has at most `count`, and more if the other part has fewer. Repeating structures
+    /// are left out, because they repeat on voxels of any size.
     pub(super) fn joining(&self, count: usize) -> Vec<&Registered> {
         let mut part_of = HashMap::new();
         for (index, part) in self.parts.iter().enumerate() {
@@ -189,8 +189,7 @@ impl Solved {
         poses.into_iter().map(|(_, pose)| pose).collect()
     }
 
-    /// The poses of these registrations, in which the reliable ones of `more` replace those of the same
-    /// pairs.
+    /// Solves again after the reliable registrations of `more` replace those of the same pairs.
     pub(super) fn with(
         self,
         mut more: Vec<Registered>,
@@ -210,7 +209,7 @@ impl Solved {
     }
 }
 
-/// The pairs `[source, target]` of clouds, by their places in the part, that overlap by its poses.
+/// The pairs `[source, target]` of clouds that overlap by the poses of a part, as places within the part.
 fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 2]> {
     let all = (1..part.clouds.len()).flat_map(|at| (0..at).map(move |before| [at, before])).collect::<Vec<_>>();
     let scale = pyramid.common(&part.clouds);
@@ -226,7 +225,7 @@ fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 
     all.into_par_iter().filter(overlap).collect()
 }
 
-/// Points of a cloud that tell how far it moves.
+/// Sample points of a cloud, which measure how far it moves.
 pub(super) fn probes(cloud: &PreparedCloud) -> Vec<Vector> {
     let points = &cloud.voxels.voxels.points;
     points.iter().step_by(points.len().div_ceil(consensus::PROBES).max(1)).copied().collect()
