@@ -12,10 +12,10 @@ const SCENES: &[u8] = include_bytes!("../models/scenes.safetensors");
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Builtin {
-    /// For objects, of any unit.
+    /// For objects, in any unit.
     #[default]
     Compact,
-    /// For rooms, sweeps and streets, of any unit. Its volume follows the cloud.
+    /// For rooms, sweeps and streets, in any unit. Its volume follows the cloud.
     Scenes,
 }
 
@@ -55,8 +55,8 @@ impl Model {
         Self::from_bytes(which.bytes()).expect("a test reads every embedded file")
     }
 
-    /// A built-in model by its name: `compact`, `scenes`, or `standard`, which is `compact` with four rotated copies:
-    /// keypoints repeat better, and detection takes three times as long.
+    /// A built-in model by its name: `compact`, `scenes` or `standard`. The last one is `compact` with four rotated
+    /// copies: its keypoints repeat better, and detection takes three times as long.
     ///
     /// # Errors
     /// [`Error::Option`] for an unknown name.

@@ -1,4 +1,4 @@
-//! Every stage against the authors' network: `tests/golden` (see its README), and `../shared/golden` where it exists.
+//! Compares each stage with the authors' network: `tests/golden` (see its README), and `../shared/golden` if present.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ struct Case {
     query_resolution: usize,
 }
 
-/// All cases at hand; the committed ones must be.
+/// All available cases; the committed ones must exist.
 fn cases() -> Vec<Case> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut folders: Vec<PathBuf> =
@@ -63,7 +63,7 @@ impl Case {
         self.model.encode(&self.points("points"), &options).unwrap()
     }
 
-    /// Each value within `tolerance` of the golden one, relative where that is above 1.
+    /// Each value must be within `tolerance` of the golden one, relative for golden values above 1.
     fn assert_close(&self, tensor: &str, found: &[f32], tolerance: f32) {
         let expected = self.floats(tensor);
         assert_eq!(found.len(), expected.len(), "{} {tensor}", self.name);
@@ -77,7 +77,7 @@ impl Case {
     }
 }
 
-/// The value below which a share of the distances between pairs of points lies.
+/// The quantiles, at the given shares, of the distances between corresponding points.
 fn distance_quantiles(found: &[Point], expected: &[Point], shares: [f32; 2]) -> [f32; 2] {
     assert_eq!(found.len(), expected.len());
     let distance = |(a, b): (&Point, &Point)| (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt();
@@ -112,7 +112,7 @@ fn encoder_stages() {
         let volume = encoder.encode(points.len(), |index| points[index], memory, &Counter::default()).unwrap();
         let row = |voxel: usize| volume.values[voxel * volume.channels..][..volume.channels].to_vec();
         let sampled: Vec<f32> = case.indices("volume_sample_index").into_iter().flat_map(row).collect();
-        // Eight to fourteen layers of float32 sums in another order.
+        // Eight to fourteen layers sum in float32 in another order.
         case.assert_close("volume_sample_values", &sampled, 5e-5);
     }
 }
@@ -121,7 +121,7 @@ fn encoder_stages() {
 fn probabilities_and_gradients() {
     for case in cases() {
         let (field, queries) = (case.field(), case.points("queries"));
-        // Both sides round to about 1e-5 here.
+        // Both implementations round to about 1e-5 here.
         case.assert_close("occupancy", &field.occupancy(&queries).unwrap(), 2e-5);
         case.assert_close("saliency", &field.saliency(&queries).unwrap(), 2e-5);
         let gradients = [
@@ -130,7 +130,7 @@ fn probabilities_and_gradients() {
         ];
         for (tensor, found) in gradients {
             let (found, expected) = (found.unwrap().1, case.points(tensor));
-            // 1e-3 of each gradient's length; where it is tiny, of the typical length.
+            // 1e-3 of each gradient's length, but at least of the typical length.
             let length = |g: &Point| g.iter().map(|v| v * v).sum::<f32>().sqrt();
             let typical = expected.iter().map(length).sum::<f32>() / expected.len() as f32;
             let wrong: Vec<_> = (0..)
@@ -140,7 +140,7 @@ fn probabilities_and_gradients() {
                     error > 1e-3 * length(e).max(typical)
                 })
                 .collect();
-            // A gradient jumps where a ReLU switches: one query in 500 may lie there, closer than rounding.
+            // A gradient jumps where a ReLU switches; one query in 500 may be closer to such a place than rounding.
             assert!(wrong.len() <= expected.len() / 500, "{} {tensor}: {wrong:?}", case.name);
         }
     }
@@ -166,7 +166,7 @@ fn refinement_by_both_methods() {
         let options = DetectOptions { selection, saliency_threshold: 0.0, ..Default::default() };
         let refined = refine(&field, &start, &options, &Control::default()).unwrap();
         let positions: Vec<Point> = refined.iter().map(|c| c.position).collect();
-        // Adam divides by the gradient's size: where that is near zero, rounding decides the direction.
+        // Adam divides by the gradient's size. Where that is near zero, rounding decides the direction.
         let [median, most] = distance_quantiles(&positions, &case.points("refine_adam_end"), [0.5, 0.99]);
         assert!(median < 1e-5 && most < 1e-3, "{}: Adam ends {median} (median), {most} (99 %) away", case.name);
         let best =
@@ -196,7 +196,7 @@ fn the_best_position_scores_no_less_than_any_step() {
         for (best, reference) in best.iter().zip(reference.iter()) {
             assert!(best.score >= reference.score, "{}", case.name);
         }
-        // Its score is the field's value at its position, which the reference's is not.
+        // The best score is the field's value at its position; the reference's score is not.
         let positions: Vec<Point> = best.iter().map(|c| c.position).collect();
         let saliency = field.saliency(&positions).unwrap();
         assert!(best.iter().zip(saliency).all(|(c, s)| c.score == 0.0 || (c.score - s).abs() < 1e-6), "{}", case.name);

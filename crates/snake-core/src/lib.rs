@@ -12,10 +12,10 @@
 //! | `control/` | control of a call: progress, cancellation, deadline, threads |
 //! | `options/` | options of encoding, detection and meshes |
 //! | `cloud/` | the used points of a cloud, and its measures |
-//! | `lattice/` | where voxels and queries lie: in a cube, or about the points of a scene |
+//! | `lattice/` | where voxels and queries lie: in a cube, or around the points of a scene |
 //! | `network/` | weights → layers; points → encoder → volume; decoder |
 //! | `field/` | encode once, query many; grid; surface |
-//! | `detect/` | Algorithm 1, a step a file; tiles |
+//! | `detect/` | Algorithm 1, one step per file; tiles |
 //! | `choose/` | which model a cloud gets |
 //! | `live/` | the same for the next frame |
 //!
@@ -25,12 +25,12 @@
 //! |---|---|---|
 //! | a cloud | its keypoints | [`Model::detect`] |
 //! | a cloud | occupancy, saliency, descriptors or a mesh as well | [`Model::encode`], then [`Field`] |
-//! | one cloud after another | the keypoints of each, in the volumes of the last | [`FrameDetector`] |
+//! | a sequence of clouds | the keypoints of each, reusing the memory of the previous one | [`FrameDetector`] |
 //! | a cloud larger than memory | keypoints | [`TileDetector`], or the crate `snake-tiles` |
 //! | a time limit or a server | progress, cancellation, a deadline | [`Control`], with the methods that end in `_with` |
 //!
-//! Results have the same bits for any number of threads. The crate `snake-geometry` has points and what can be said of
-//! them without a network, and `snake-detectors` classical detectors for comparison.
+//! Results have the same bits for any number of threads. The crate `snake-geometry` analyses points without a network,
+//! and `snake-detectors` has classical detectors for comparison.
 
 #![forbid(unsafe_code)]
 

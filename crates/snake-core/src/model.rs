@@ -61,7 +61,7 @@ impl Model {
         self.network.num_parameters
     }
 
-    /// The recommended options of these weights: from the metadata key `recommended_options`, else the defaults.
+    /// The options recommended for these weights: the metadata key `recommended_options`, or the defaults without it.
     pub fn recommended(&self) -> &Options {
         &self.network.recommended
     }
@@ -69,7 +69,7 @@ impl Model {
     /// Encodes a cloud `(N, 3)` once. The field then answers any number of queries.
     ///
     /// # Errors
-    /// [`Error::Input`] for a cloud without finite points or of an extent outside 1e-15 to 1e15;
+    /// [`Error::Input`] for a cloud without finite points or with an extent outside 1e-15 to 1e15;
     /// [`Error::Weights`] when the weights are so large that the features overflow.
     pub fn encode(&self, points: &[Point], options: &EncodeOptions) -> Result<Field> {
         self.encode_with(points, options, &Control::default())
@@ -84,7 +84,7 @@ impl Model {
         self.field(UsedCloud::new(points)?, options, control)
     }
 
-    /// [`Model::encode_with`] of a cloud that has been looked at already.
+    /// [`Model::encode_with`] for a cloud whose used points have been determined already.
     ///
     /// # Errors
     /// The errors of [`Model::encode_with`].
@@ -121,7 +121,7 @@ impl Model {
         self.detect_used(UsedCloud::new(points)?, options, control)
     }
 
-    /// [`Model::detect_with`] in a cloud that has been looked at already.
+    /// [`Model::detect_with`] for a cloud whose used points have been determined already.
     ///
     /// # Errors
     /// The errors of [`Model::detect_with`].
@@ -130,7 +130,7 @@ impl Model {
         self.detect_used(cloud.clone(), options, control)
     }
 
-    /// The keypoints of a cloud. The options are valid.
+    /// The keypoints of a cloud. The options must be valid.
     fn detect_used(&self, cloud: UsedCloud, options: &Options, control: &Control) -> Result<Detection> {
         let start = Instant::now();
         let field = self.field(cloud, &options.encode, control)?;
@@ -155,11 +155,11 @@ impl Model {
 }
 
 impl TileDetector {
-    /// A detector of tiles. Without a voxel size it needs [`TileDetector::choose_voxel_size`], then [`TileDetector::place`].
+    /// A tile detector. Without a voxel size, call [`TileDetector::choose_voxel_size`] before [`TileDetector::place`].
     ///
     /// # Errors
-    /// [`Error::Option`] when the model is none of scenes, or when an option is out of its range or needs the whole cloud: a
-    /// length in `%`, a voxel size in `r`, `max_points`, `refine_steps` or `snap`.
+    /// [`Error::Option`] when the model is not a scene model, or when an option is out of its range or needs the whole cloud: a
+    /// length in `%`, a voxel size in `r`, `max_points`, `refine_steps`, `snap` or `prefer` corners.
     pub fn new(model: &Model, options: &Options) -> Result<Self> {
         Self::for_network(model.network.clone(), options)
     }

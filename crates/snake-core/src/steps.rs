@@ -1,8 +1,8 @@
-//! The steps between points and keypoints one by one, as functions on arrays, for comparison with other implementations.
+//! The single steps from points to keypoints, as functions on arrays, for comparison with other implementations.
 //!
-//! Positions are in the network's frame, and features are flat `(rows, channels)`. These functions call what
-//! [`Model::encode`](crate::Model::encode) and [`Field::detect`](crate::Field::detect) call. They are not part of the API that
-//! versions keep.
+//! Positions are in the network's frame, and features are flat `(rows, channels)`. These functions call the same code as
+//! [`Model::encode`](crate::Model::encode) and [`Field::detect`](crate::Field::detect). They are not part of the stable
+//! API.
 
 use crate::detect::refine::Ascent;
 use crate::lattice::{Lattice, VolumeFrame, VoxelGroups};
@@ -15,11 +15,11 @@ use snake_kernels::BufferPool;
 
 pub use crate::field::Quantity;
 
-/// Voxel aggregation: the volume `[z][y][x][channel]` of features `(N, C)` of points `(N, 3)`. By the model's
-/// [`Scatter`](crate::Scatter), a voxel holds the mean of its own points, or a weighted mean of those around it; 0 without any.
+/// Voxel aggregation: the volume `[z][y][x][channel]` from features `(N, C)` of points `(N, 3)`. By the model's
+/// [`Scatter`](crate::Scatter), a voxel holds the mean of its points or a weighted mean of the points around it; 0 without any.
 ///
 /// # Errors
-/// [`Error::Input`] for a scene model, points that are not finite, or features of another number.
+/// [`Error::Input`] for a scene model, points that are not finite, or the wrong number of features.
 pub fn aggregate(model: &Model, points: &[Point], features: &[f32]) -> Result<Vec<f32>> {
     let frame = model.config().volume.cube()?;
     check_points("points", points)?;
@@ -32,10 +32,10 @@ pub fn aggregate(model: &Model, points: &[Point], features: &[f32]) -> Result<Ve
     Ok(values)
 }
 
-/// Trilinear sampling: the features `(Q, C)` of a volume `[z][y][x][channel]` at queries `(Q, 3)`.
+/// Trilinear interpolation: the features `(Q, C)` of a volume `[z][y][x][channel]` at queries `(Q, 3)`.
 ///
 /// # Errors
-/// [`Error::Input`] for a scene model, queries that are not finite, or a volume of another size.
+/// [`Error::Input`] for a scene model, queries that are not finite, or a volume of the wrong size.
 pub fn interpolate(model: &Model, volume: &[f32], queries: &[Point]) -> Result<Vec<f32>> {
     let volume = given_volume(model, volume, queries)?;
     let mut features = vec![0.0; queries.len() * volume.channels];
@@ -43,11 +43,11 @@ pub fn interpolate(model: &Model, volume: &[f32], queries: &[Point]) -> Result<V
     Ok(features)
 }
 
-/// The gradient of trilinear sampling: derivatives `(Q, 3)`, per network unit, of the sum over the channels of
-/// `in_features` `(Q, C)` times the interpolated features.
+/// The gradient of trilinear interpolation: derivatives `(Q, 3)`, per network unit, of the interpolated features'
+/// weighted sum over the channels, with weights `in_features` `(Q, C)`.
 ///
 /// # Errors
-/// The errors of [`interpolate`]; [`Error::Input`] for `in_features` of another number.
+/// The errors of [`interpolate`]; [`Error::Input`] for the wrong number of `in_features`.
 pub fn interpolate_gradient(
     model: &Model,
     volume: &[f32],
@@ -80,7 +80,7 @@ pub struct Decoded {
 /// Decodes queries `(Q, 3)` with their features `(Q, c_dim)`.
 ///
 /// # Errors
-/// [`Error::Input`] for queries that are not finite, or features of another number.
+/// [`Error::Input`] for queries that are not finite, or the wrong number of features.
 pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[f32]) -> Result<Decoded> {
     check_points("queries", queries)?;
     let c_dim = model.config().c_dim;
@@ -102,11 +102,11 @@ pub fn decode(model: &Model, quantity: Quantity, queries: &[Point], features: &[
     Ok(all)
 }
 
-/// Refinement: the positions of queries `(Q, 3)` after a step up each of the given gradients of the saliency, each `(Q, 3)`.
-/// It reads the options `refine_method` and `refine_step_size`.
+/// Refinement: the positions of queries `(Q, 3)` after one ascent step for each of the given gradients of the saliency, each
+/// `(Q, 3)`. It uses the options `refine_method` and `refine_step_size`.
 ///
 /// # Errors
-/// [`Error::Input`] for queries that are not finite, or gradients of another number.
+/// [`Error::Input`] for queries that are not finite, or the wrong number of gradients.
 pub fn refine(queries: &[Point], gradients: &[Vec<Point>], options: &DetectOptions) -> Result<Vec<Point>> {
     check_points("queries", queries)?;
     if gradients.iter().any(|step_gradients| step_gradients.len() != queries.len()) {
@@ -126,7 +126,7 @@ fn num_voxels(frame: &VolumeFrame) -> usize {
     frame.resolution.iter().product()
 }
 
-/// The number of channels of `length` values in `rows` rows.
+/// The number of channels if `length` values form `rows` rows.
 fn channels(what: &'static str, length: usize, rows: usize) -> Result<usize> {
     match length / rows {
         channels if channels > 0 && channels * rows == length => Ok(channels),
@@ -134,7 +134,7 @@ fn channels(what: &'static str, length: usize, rows: usize) -> Result<usize> {
     }
 }
 
-/// A given volume in the frame of a model, for queries.
+/// The given values as a volume in the frame of a model; also checks the queries.
 fn given_volume(model: &Model, values: &[f32], queries: &[Point]) -> Result<Volume> {
     let frame = model.config().volume.cube()?;
     check_points("queries", queries)?;

@@ -6,11 +6,11 @@ use snake_geometry::Point;
 /// Number of points that are measured.
 const MEASURED: usize = 4096;
 
-/// Different coordinates, at least: a stack of a few shelves is no step.
+/// Minimum number of different coordinates: a stack of a few shelves has no step.
 const MIN_LEVELS: usize = 16;
 
-/// The largest length of which the coordinates along an axis are multiples, and that axis, if there is one that matters: points
-/// fill at least [`MIN_LEVELS`] multiples, and coordinates are within a thousandth of them.
+/// The largest step of the coordinates along any axis, if there is one. Counted from the lowest coordinate, all are multiples
+/// of the step within a thousandth of it or within float32 rounding, and at least [`MIN_LEVELS`] of them differ.
 pub(super) fn coordinate_step(points: &[Point]) -> Option<CoordinateStep> {
     let measured: Vec<Point> = drawn(points, MEASURED).collect();
     let step_of = |axis: usize| step(measured.iter().map(|point| point[axis]).collect()).map(|length| (axis, length));
@@ -30,14 +30,14 @@ pub(crate) struct CoordinateStep {
 fn step(mut values: Vec<f32>) -> Option<f64> {
     values.sort_unstable_by(f32::total_cmp);
     let (lowest, highest) = (f64::from(*values.first()?), f64::from(*values.last()?));
-    // Two units in the last place: an origin that is subtracted may be no multiple of the step.
+    // Two units in the last place: a subtracted origin may not be a multiple of the step.
     let rounding = 2.0 * f64::from(f32::EPSILON) * lowest.abs().max(highest.abs());
     let gaps = values.windows(2).map(|pair| f64::from(pair[1]) - f64::from(pair[0])).filter(|gap| *gap > rounding);
     let (num_gaps, smallest) = gaps.fold((0, f64::INFINITY), |(number, least), gap| (number + 1, gap.min(least)));
     if num_gaps + 1 < MIN_LEVELS {
         return None;
     }
-    // Rounding of the smallest gap would add up over the levels: the extent is a better measure of it.
+    // The rounding error of the smallest gap would add up over the levels, so the extent gives the length.
     let length = (highest - lowest) / ((highest - lowest) / smallest).round();
     let off = |value: &f32| {
         let levels = (f64::from(*value) - lowest) / length;

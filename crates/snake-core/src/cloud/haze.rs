@@ -1,19 +1,19 @@
-//! Haze: points in the air about a scene, as splats and dense reconstructions from photographs have them.
+//! Haze: points in the air around a scene, as in splats and dense reconstructions from photographs.
 
 use super::samples::{drawn, quantile};
 use snake_geometry::{Point, PointTree};
 
 /// Number of points that are measured.
 const MEASURED: usize = 512;
-/// A point stands alone if the distance to its nearest neighbour is this many times the usual one. In sweeps 4 % do.
+/// An isolated point is more than this many median distances from its nearest neighbour. In sweeps, 4 % of the points are.
 const ALONE: f64 = 3.0;
-/// Smallest share of points that stand alone in a haze.
+/// Smallest share of isolated points in a haze.
 const MIN_SHARE: f64 = 0.08;
-/// Smallest dimension of a haze: twice the distance has two to this power as many neighbours. Surfaces, however sparse, have
-/// 1.9 and less, hazes 2.4 to 2.7.
+/// Smallest dimension d of a haze: within twice the distance there are 2^d times as many neighbours. Surfaces have at most
+/// 1.9, even if they are sparse, and hazes 2.4 to 2.7.
 const MIN_DIMENSION: f64 = 2.2;
 
-/// The share of the points of a cloud `(N, 3)` that stand alone, if they fill space and are no sparse surface.
+/// The share of isolated points of a cloud `(N, 3)`; `None` if they are few, or do not fill space but form a sparse surface.
 pub(super) fn haze(points: &[Point]) -> Option<f64> {
     let measured: Vec<Point> = drawn(points, MEASURED).collect();
     let spacings = spacings(&measured);
@@ -35,7 +35,7 @@ fn spacings(points: &[Point]) -> Vec<f64> {
     squared.unwrap_or_default().into_iter().map(f64::sqrt).collect()
 }
 
-/// The number of pairs of points that are closer than a distance.
+/// The number of pairs of points closer than a distance.
 fn num_pairs(points: &[Point], distance: f64) -> f64 {
     let limit = distance * distance;
     let closer = |(index, point): (usize, &Point)| {
@@ -52,12 +52,12 @@ fn squared(a: &Point, b: &Point) -> f64 {
 mod tests {
     use super::*;
 
-    /// Numbers from 0 to 1, as if they were drawn.
+    /// Pseudo-random numbers from 0 to 1.
     fn at(i: usize, row: usize) -> f32 {
         ((i as f64 * 12.9898 + row as f64 * 78.233).sin() * 43_758.545).rem_euclid(1.0) as f32
     }
 
-    /// A square of side 1, and others of a square or a cube of a side about it.
+    /// A square of side 1, and other points in a square or a box of side `side` around it.
     fn cloud(others: usize, side: f32, height: f32) -> Vec<Point> {
         let square = (0..3000).map(|i| [at(i, 0), at(i, 1), 0.0]);
         let about = |i: usize, row: usize| (at(i, row) - 0.5) * side + 0.5;

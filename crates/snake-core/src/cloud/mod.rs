@@ -1,4 +1,4 @@
-//! The used points of a cloud, finite and without outliers and missing returns, and its measures, each taken once.
+//! The used points of a cloud, which are finite and neither outliers nor missing returns, and measures that are taken once.
 
 mod coordinate_step;
 mod haze;
@@ -15,8 +15,8 @@ use std::sync::OnceLock;
 use crate::Result;
 use snake_geometry::{FinitePoints, Outliers, Point};
 
-/// A cloud as it is used. Its finite points are found once, and each question about it is answered once, so that choice of a
-/// model, encoding and hints share the work.
+/// A cloud as it is used. Its finite points are found once and its properties are computed once, so choosing a model,
+/// encoding and hints share the work.
 ///
 /// ```
 /// use snake_core::{Builtin, Control, Model, UsedCloud};
@@ -33,12 +33,12 @@ pub struct UsedCloud<'a> {
     num_given: usize,
     is_sweep: OnceLock<bool>,
     coordinate_step: OnceLock<Option<CoordinateStep>>,
-    /// The size of voxels that suits its density, as a step of the [series](crate::lattice::voxel_size).
+    /// The voxel size that suits the density, as a step of the [series](crate::lattice::voxel_size).
     pub(crate) voxel_step: OnceLock<i32>,
 }
 
 impl<'a> UsedCloud<'a> {
-    /// The used points of a cloud `(N, 3)`: the finite ones without outliers and missing returns. They are copied only if some are left out.
+    /// The used points of a cloud `(N, 3)`: finite points that are neither outliers nor missing returns. Copied only if some are left out.
     ///
     /// # Errors
     /// [`Error::Input`](crate::Error::Input) for a cloud without finite points.
@@ -52,37 +52,37 @@ impl<'a> UsedCloud<'a> {
         Self { finite, num_given, is_sweep, coordinate_step, voxel_step }
     }
 
-    /// The points that are used, in the order they were given.
+    /// The points that are used, in the given order.
     pub fn points(&self) -> &[Point] {
         &self.finite.points
     }
 
-    /// Number of points of the cloud, those that are not used included.
+    /// Number of points of the cloud, including those that are not used.
     pub fn num_given(&self) -> usize {
         self.num_given
     }
 
-    /// The points far beyond all others, which are left out, if there are any.
+    /// The outliers that were left out, far beyond all other points; `None` if there are none.
     pub fn outliers(&self) -> Option<Outliers> {
         self.finite.outliers()
     }
 
-    /// What is wrong with the cloud and was left out, each in a sentence.
+    /// One sentence for each kind of points that were left out.
     pub fn findings(&self) -> Vec<String> {
         self.finite.findings()
     }
 
-    /// Whether it looks like the sweep of a sensor in its midst.
+    /// Whether it looks like the sweep of a sensor at its centre.
     pub fn is_sweep(&self) -> bool {
         *self.is_sweep.get_or_init(|| sweep::is_sweep(self.points()))
     }
 
-    /// The share of its points that stand alone in the air, such as the floaters of splats, if it has such a haze.
+    /// The share of isolated points in the air, such as the floaters of splats; `None` without such a haze.
     pub fn haze(&self) -> Option<f64> {
         haze::haze(self.points())
     }
 
-    /// The length of which its coordinates are multiples, along the axis where it is largest.
+    /// The step of the coordinates, along the axis where it is largest.
     pub(crate) fn coordinate_step(&self) -> Option<CoordinateStep> {
         *self.coordinate_step.get_or_init(|| coordinate_step::coordinate_step(self.points()))
     }

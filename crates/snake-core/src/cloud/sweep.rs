@@ -1,4 +1,4 @@
-//! Sweeps: clouds that one sensor saw about itself.
+//! Sweeps: clouds that one sensor saw around itself.
 
 use super::samples::{drawn, quantile};
 use snake_geometry::Point;
@@ -6,16 +6,16 @@ use snake_geometry::Point;
 /// Number of points that are measured.
 const MEASURED: usize = 1024;
 
-/// A sweep has far points: 98 % of the points lie within this many times the distance within which half of them lie.
-/// Objects have 1.7, five in a hundred more than 3.
+/// A sweep has far points: the 98 % quantile of the distance from the centre is more than this many times the median.
+/// Objects have 1.7; five in a hundred have more than 3.
 const FAR: f64 = 2.5;
 
-/// A sweep is dense near its sensor: the distance to the nearest other point, of which 95 % are smaller, is this many times
-/// the median. Points that are drawn evenly from a surface have 2.0, one in a hundred objects more than 2.3.
+/// A sweep is dense near its sensor: the 95 % quantile of the distance to the nearest other point is more than this many times
+/// the median. Points drawn evenly from a surface have 2.0; one in a hundred objects has more than 2.3.
 const UNEVEN: f64 = 2.2;
 
-/// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor in its midst: dense near the sensor, and with points
-/// far beyond. Of 2033 objects six do.
+/// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor at its centre: dense near the sensor, and with
+/// points far beyond. Six of 2033 objects do.
 pub(super) fn is_sweep(points: &[Point]) -> bool {
     let measured: Vec<Point> = drawn(points, MEASURED).collect();
     if measured.len() < MEASURED / 4 {

@@ -6,7 +6,7 @@ pub(crate) use std::time::Instant;
 #[cfg(all(target_family = "wasm", target_os = "unknown"))]
 pub(crate) use still::Instant;
 
-/// WebAssembly without a host's interface has no clock: `std::time::Instant::now` panics there. Timings are 0.
+/// WebAssembly without a host interface has no clock: `std::time::Instant::now` panics there. Timings are 0.
 #[cfg(all(target_family = "wasm", target_os = "unknown"))]
 mod still {
     use std::ops::Sub;

@@ -16,7 +16,7 @@ use std::time::Instant;
 use self::progress::Count;
 use crate::{Error, Result};
 
-/// Progress, cancellation and a deadline of a long call, an argument of
+/// Progress, cancellation and a deadline for a long call, an argument of
 /// [`Model::encode_with`](crate::Model::encode_with), [`Model::detect_with`](crate::Model::detect_with),
 /// [`Field::detect_with`](crate::Field::detect_with), [`Field::mesh_with`](crate::Field::mesh_with) and
 /// `snake_registration::register_with`. Results do not depend on it. The default does nothing.
@@ -41,7 +41,7 @@ pub struct Control {
 }
 
 impl Control {
-    /// A control that neither watches nor stops a call.
+    /// A control that neither reports progress nor stops a call.
     pub fn new() -> Self {
         Self::default()
     }
@@ -84,7 +84,7 @@ impl Control {
     }
 }
 
-/// A flag that cancels calls. Clones share it. It cannot be reset: a later call takes a new flag.
+/// A flag that cancels calls. Clones share it. It cannot be reset: a later call needs a new flag.
 #[derive(Debug, Clone, Default)]
 pub struct CancelFlag(Arc<AtomicBool>);
 
@@ -169,7 +169,7 @@ mod tests {
     use crate::detect::tests::cylinder;
     use crate::{Builtin, EncodeOptions, MeshOptions, Model, Options};
 
-    /// The moments at which a call asked whether it may go on, in time of the processor: other programs do not count.
+    /// The moments at which a call checked its control, in processor time: other programs do not count.
     #[derive(Debug, Clone, Default)]
     pub(super) struct Checks(Arc<std::sync::Mutex<Vec<Duration>>>);
 
@@ -223,7 +223,7 @@ mod tests {
         assert_checked_often(|control| drop(field.mesh_with(&MeshOptions::default(), control).unwrap()));
     }
 
-    /// The same of a scene, whose voxel size is chosen, and whose blocks are made.
+    /// The same for a scene, including the choice of the voxel size and the construction of the blocks.
     #[test]
     fn a_scene_is_checked_at_least_every_50_ms() {
         let at = |i: usize, step: f32| (i as f32 * step).fract();

@@ -37,7 +37,7 @@ pub fn parallel_map<T: Send>(number: usize, task: impl Fn(usize) -> Result<T> + 
             }
             let result = task(index);
             if result.is_err() {
-                // Tasks are begun in order, so all earlier ones are done or running.
+                // Tasks begin in order, so all earlier tasks are done or running.
                 next.store(number, Ordering::Relaxed);
             }
             results.push((index, result));
@@ -91,7 +91,7 @@ mod tests {
         let start = Instant::now();
         let task = |_| {
             most.fetch_max(running.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
-            // On a busy machine a thread may begin late: the others wait for it.
+            // On a busy machine a thread may begin late; the others wait for it.
             while most.load(Ordering::SeqCst) < 3 && start.elapsed() < Duration::from_secs(60) {
                 std::thread::sleep(Duration::from_millis(1));
             }

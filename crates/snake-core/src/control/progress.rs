@@ -94,7 +94,7 @@ mod tests {
     use crate::detect::tests::cylinder;
     use crate::{Builtin, Control, DetectOptions, EncodeOptions, MeshOptions, Model, Selection};
 
-    /// Asserts that a stage of this name began last and is complete.
+    /// Asserts that the stage that began last has this name and is complete.
     fn assert_complete(progress: &Progress, name: &str) {
         let stage = progress.stage().unwrap();
         assert!(stage.name == name && stage.done == stage.total && stage.total > 0, "{name}: {stage:?}");

@@ -1,4 +1,4 @@
-//! The threads of a process, and the number that a caller may ask for.
+//! The threads of a process, and the largest number that a caller may request.
 
 use std::mem::forget;
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -13,13 +13,13 @@ use crate::{Error, Result, SimdLevel};
 /// Maximum number of threads on a machine with fewer processors: more threads would only wait for each other.
 const MAX_THREADS: usize = 256;
 
-/// The greatest number of threads that a caller may ask for: 256, or the number of processors.
+/// The largest number of threads that a caller may request: 256, or the number of processors if that is larger.
 pub fn max_num_threads() -> usize {
     available_parallelism().map_or(1, usize::from).max(MAX_THREADS)
 }
 
-/// The threads of all calls of a process. On Rayon's global pool a call would wait forever in a child after a fork, which
-/// has the memory of its parent but not its threads.
+/// The threads of all calls of a process. On Rayon's global pool, a call in a forked child would wait forever, because the
+/// child has the memory of its parent but not its threads.
 pub struct ProcessPool(Mutex<State>);
 
 /// The number of threads that was set (0: the default), and the pool with the id of its process.
@@ -39,10 +39,10 @@ impl ProcessPool {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The threads of this process. A child after a fork starts its own.
+    /// The threads of this process. A forked child starts its own.
     ///
     /// # Errors
-    /// [`Error::Input`] if the threads cannot be started, or the environment names an unknown level of instructions.
+    /// [`Error::Input`] if the threads cannot be started, or if the environment names an unknown SIMD level.
     pub fn get(&self) -> Result<Arc<ThreadPool>> {
         let (mut state, process) = (self.state(), std::process::id());
         if let Some((owner, pool)) = &state.pool
@@ -53,15 +53,15 @@ impl ProcessPool {
         SimdLevel::check_environment().map_err(|reason| Error::Input { what: "environment", reason })?;
         let pool = ThreadPoolBuilder::new().num_threads(state.num_threads).build();
         let pool = Arc::new(pool.map_err(|error| Error::Input { what: "num_threads", reason: error.to_string() })?);
-        // Each thread fills what it shares with others at its first job; a child must not be forked meanwhile.
+        // At its first job, each thread initialises data that it shares with others; no child must be forked meanwhile.
         pool.broadcast(|_| ());
         // Dropping the parent's pool would signal threads that do not exist here.
         forget(state.pool.replace((process, pool.clone())));
         Ok(pool)
     }
 
-    /// Sets the number of threads from the next call on; 0: `RAYON_NUM_THREADS`, or one for each processor. A child after a
-    /// fork keeps the number.
+    /// Sets the number of threads from the next call on; 0: `RAYON_NUM_THREADS`, or one per processor. A forked child keeps
+    /// the number.
     ///
     /// # Errors
     /// [`Error::Input`] for a number above [`max_num_threads`].
@@ -81,8 +81,8 @@ impl ProcessPool {
     }
 }
 
-/// Runs work on the threads of a pool. Until the work has ended, the calling thread calls `tick` every `interval`. A panic of
-/// the work goes on in the caller.
+/// Runs work on the threads of a pool. Until the work has ended, the calling thread calls `tick` every `interval`. A panic
+/// in the work is passed on to the caller.
 pub fn run_watched<T: Send>(
     pool: &ThreadPool,
     interval: Duration,
@@ -91,7 +91,7 @@ pub fn run_watched<T: Send>(
 ) -> T {
     let (done, ended) = channel();
     let result = pool.in_place_scope(|scope| {
-        // The sender is moved into the job: a panic drops it, and the receiver hears of that.
+        // The sender moves into the job: a panic drops it, which disconnects the receiver.
         scope.spawn(move |_| drop(done.send(work())));
         loop {
             match ended.recv_timeout(interval) {

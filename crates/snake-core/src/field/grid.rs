@@ -4,8 +4,8 @@ use crate::field::Field;
 use crate::{Error, Result};
 use snake_geometry::Point;
 
-/// A regular grid over the box of a field's feature volume, in the cloud's frame and units. The box is the network's
-/// cube ±0.5 with its padding; the grid includes both ends.
+/// A regular grid over the box of a field's feature volume, in the cloud's frame and units; it includes both ends. The box is
+/// the network's cube ±0.5 with its padding, or the bounding box of a scene's blocks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     /// Number of positions along each axis.
@@ -49,7 +49,7 @@ impl Grid {
         queries
     }
 
-    /// The values of all positions as an array `[z][y][x]`, asked of `values` plane by plane.
+    /// Calls `values` with the positions of each plane, and returns all values as an array `[z][y][x]`.
     ///
     /// ```
     /// use snake_core::{Builtin, EncodeOptions, Model};

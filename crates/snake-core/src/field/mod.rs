@@ -43,7 +43,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// The field of a cloud in the memory of an earlier field. The options are valid for the network.
+    /// Encodes a cloud, reusing the memory of an earlier field. The options must be valid for the network.
     pub(crate) fn new(
         network: Arc<Network>,
         cloud: UsedCloud<'_>,
@@ -59,7 +59,7 @@ impl Field {
         let encoded = drawn.as_deref().unwrap_or(points);
         let mut copies = encode_rotated_copies(&network, encoded, &placement, memory, control)?;
         if drawn.is_some() {
-            // Queries start at all points, also at those that were not drawn.
+            // Queries start at all points, including those that were not drawn.
             let in_network = points.iter().map(|&point| normalization.to_network(point));
             copies[0].volume.lattice.set_cells(in_network);
         }
@@ -73,7 +73,7 @@ impl Field {
         })
     }
 
-    /// The field of a source of points, see [`Field::new`].
+    /// Encodes the points of a source, see [`Field::new`].
     pub(crate) fn from_source(
         network: Arc<Network>,
         source: &(impl PointSource + ?Sized),
@@ -87,7 +87,7 @@ impl Field {
         Self::new(network, UsedCloud::from_finite(finite, number), options, memory, control)
     }
 
-    /// The field of a cloud of finite points as it lies, with a given normalisation.
+    /// Encodes a cloud of finite points with a given normalisation and without rotation.
     pub(crate) fn normalized(
         network: Arc<Network>,
         points: Vec<Point>,
@@ -105,7 +105,7 @@ impl Field {
         })
     }
 
-    /// Leaves its memory to the next field.
+    /// Returns the buffers of the points to `memory`, for the next field.
     pub(crate) fn recycle_into(self, memory: &mut FieldMemory) {
         (memory.points, memory.indices) = self.points.into_buffers();
     }
@@ -126,7 +126,7 @@ impl Field {
         self.normalization
     }
 
-    /// The size of a voxel of the volume, in cloud units; along x, should the axes differ.
+    /// The size of a voxel of the volume, in cloud units; the size along x if the axes differ.
     pub fn voxel_size(&self) -> f32 {
         self.lattice().voxel_size(self.normalization.scale)
     }
@@ -142,7 +142,7 @@ impl Field {
         self.normalization.to_cloud(self.lattice().bounds().map(|ends| ends[end]))
     }
 
-    /// The points of the cloud that are used, in the order they were given: the finite ones without outliers and missing returns.
+    /// The points of the cloud that are used, in the given order: finite points that are neither outliers nor missing returns.
     pub fn points(&self) -> &[Point] {
         &self.points.points
     }
@@ -157,7 +157,7 @@ impl Field {
         self.num_skipped
     }
 
-    /// The points far beyond all others, which were left out, if there are any.
+    /// The outliers that were left out, far beyond all other points; `None` if there are none.
     pub fn outliers(&self) -> Option<Outliers> {
         self.points.outliers()
     }
@@ -167,7 +167,7 @@ impl Field {
         self.points.findings()
     }
 
-    /// The index in the cloud as it was given of one of [`Field::points`].
+    /// The index in the given cloud of the point `index` of [`Field::points`].
     pub fn original_index(&self, index: usize) -> usize {
         self.points.original_index(index)
     }
@@ -187,7 +187,7 @@ impl Field {
         self.copies.len()
     }
 
-    /// The rotation of [`Field::volume`], row by row: `volume = R network`. It is the identity, save with
+    /// The rotation of [`Field::volume`], row by row: `volume = R network`. It is the identity, except with
     /// [`NormalizationMethod::PrincipalAxes`](crate::NormalizationMethod::PrincipalAxes).
     pub fn orientation(&self) -> &[Point; 3] {
         &self.copies[0].rotation

@@ -1,4 +1,4 @@
-//! Values and gradients of a field at a tile of queries, of one rotated copy or the average of several.
+//! Values and gradients of a field at a tile of queries, for one rotated copy or averaged over several.
 
 use std::borrow::Cow;
 
@@ -22,7 +22,7 @@ pub enum Quantity {
 }
 
 impl Field {
-    /// A decoder, and the voxels of a volume as it sees them.
+    /// A decoder, and the lattice of a volume as this decoder reads it.
     fn decoder<'a>(&'a self, volume: &'a Volume, quantity: Quantity) -> (&'a Decoder, Cow<'a, Lattice>) {
         match quantity {
             Quantity::Occupancy => (&self.network.occupancy, Cow::Borrowed(&volume.lattice)),
@@ -30,7 +30,7 @@ impl Field {
         }
     }
 
-    /// One tile of queries in the network's frame, on the calling thread.
+    /// The values of one tile of queries in the network's frame, computed on the calling thread.
     pub(crate) fn tile_values(&self, quantity: Quantity, queries: &[Point]) -> Vec<f32> {
         if let [copy] = &self.copies[..] {
             return self.copy_values(copy, quantity, queries);
@@ -112,7 +112,7 @@ pub(crate) fn log_odds(probability: f32) -> f32 {
     (probability / (1.0 - probability)).ln()
 }
 
-/// Queries of one tile in the orientation of a copy.
+/// The queries of one tile, rotated into the orientation of a copy.
 pub(super) fn rotated(rotation: &Rotation, queries: &[Point]) -> Vec<Point> {
     queries.iter().map(|&query| rotate(rotation, query)).collect()
 }
@@ -141,7 +141,7 @@ mod tests {
         };
         let field = encode(&points, 4);
         let queries = &points[..50];
-        // By hand: a field of each rotated cloud.
+        // By hand: one field for each rotated cloud.
         let mut sums = vec![0.0; queries.len()];
         for rotation in rotations::super_fibonacci(4) {
             let rotated = |points: &[Point]| points.iter().map(|&p| rotate(&rotation, p)).collect::<Vec<_>>();
@@ -150,7 +150,7 @@ mod tests {
         }
         let (values, gradients) = field.saliency_and_gradient(queries).unwrap();
         for ((value, sum), alone) in values.iter().zip(sums).zip(field.saliency(queries).unwrap()) {
-            // The rotated clouds are normalised anew, with other rounding.
+            // Each rotated cloud is normalised again, with different rounding.
             assert!((value - probability(sum / 4.0)).abs() < 1e-3 && (value - alone).abs() < 1e-6, "{value} {alone}");
         }
         let mut errors: Vec<f32> = (0..queries.len() * 3)

@@ -7,23 +7,23 @@ use snake_geometry::Point;
 /// The place of a block along x, y, z, in blocks.
 pub(crate) type Place = [i32; 3];
 
-/// Places are within ± this along each axis. Nodes are then within ±2^20, where float32 has a sixteenth of a voxel.
+/// Places are within ± this along each axis. Nodes are then within ±2^20, where float32 resolves a sixteenth of a voxel.
 const MAX_PLACE: i32 = 1 << 18;
 
-/// Coordinates of points are below this, so that all blocks about them have places.
+/// Coordinates of points must be below this, so that all blocks around the points have places.
 pub(crate) const MAX_NODE: f32 = ((MAX_PLACE - 16) * BLOCK_SIDE as i32) as f32;
 
-/// The blocks of a lattice that are stored. Block 0 stands for all others; the stored blocks are numbered from 1 on, along
-/// a Z-order curve: neighbours have near numbers, so that their values are still in the cache.
+/// The stored blocks of a lattice, numbered from 1 along a Z-order curve; number 0 stands for all other blocks. Blocks
+/// that are close in space have close numbers, so their values are likely in the cache.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct BlockGrid {
     /// Keys of the blocks, in the order of their numbers.
     keys: Vec<u64>,
-    /// An open hash table of the blocks' numbers; 0 is an empty entry. Its length is a power of two.
+    /// Open-addressing hash table of block numbers; 0 marks an empty entry. Its length is a power of two.
     table: Vec<u32>,
 }
 
-/// A number that orders places along a Z-order curve: the bits of x, y and z by turns, x lowest.
+/// The key that orders places along a Z-order curve: it interleaves the bits of x, y and z, with x lowest.
 fn key(place: Place) -> u64 {
     let [x, y, z] = place.map(|i| spread((i + MAX_PLACE) as u64));
     (z << 2) | (y << 1) | x
@@ -34,7 +34,7 @@ fn place(key: u64) -> Place {
     [key, key >> 1, key >> 2].map(|bits| gather(bits) as i32 - MAX_PLACE)
 }
 
-/// Each of the lowest 21 bits, three places apart.
+/// Spreads the lowest 21 bits of a value to every third bit.
 fn spread(value: u64) -> u64 {
     SPREADS.into_iter().fold(value, |bits, (shift, mask)| (bits | (bits << shift)) & mask)
 }
@@ -46,7 +46,7 @@ fn gather(bits: u64) -> u64 {
     shifts.zip(masks).fold(bits & SPREADS[4].1, |bits, (shift, mask)| (bits | (bits >> shift)) & mask)
 }
 
-/// Steps that spread bits: shifts, and the bits that stay.
+/// Steps that spread bits: a shift, and the mask of the bits that stay.
 const SPREADS: [(u32, u64); 5] = [
     (32, 0x001F_0000_0000_FFFF),
     (16, 0x001F_0000_FF00_00FF),
@@ -56,7 +56,7 @@ const SPREADS: [(u32, u64); 5] = [
 ];
 
 impl BlockGrid {
-    /// The blocks at these places; a place may come several times.
+    /// The grid of the blocks at these places; a place may occur several times.
     pub(crate) fn new(places: impl Iterator<Item = Place>) -> Self {
         let mut keys: Vec<u64> = Vec::new();
         for key in places.map(key) {
@@ -70,7 +70,7 @@ impl BlockGrid {
         Self::from_keys(keys)
     }
 
-    /// These blocks and, numbered after them, those of `more` that are not among them.
+    /// The grid of these blocks and of the blocks of `more` that are not among them, which are numbered last.
     pub(crate) fn with(&self, more: &Self) -> Self {
         let is_new = |key: &u64| self.number(place(*key)) == 0;
         Self::from_keys(self.keys.iter().copied().chain(more.keys.iter().copied().filter(is_new)).collect())
@@ -118,7 +118,7 @@ impl BlockGrid {
         }
     }
 
-    /// The numbers of a block of this grid and of its 26 neighbours, x fastest.
+    /// The numbers of the 27 blocks at a place and around it, x fastest.
     pub(crate) fn about(&self, [x, y, z]: Place) -> [u32; 27] {
         std::array::from_fn(|n| {
             let step = [n % 3, n / 3 % 3, n / 9].map(|step| step as i32 - 1);
@@ -126,13 +126,13 @@ impl BlockGrid {
         })
     }
 
-    /// The index in block-by-block values of a node.
+    /// The index of a node in values that are stored block by block.
     pub(crate) fn node(&self, node: [i32; 3]) -> u32 {
         let place = node.map(|i| i.div_euclid(BLOCK_SIDE as i32));
         self.number(place) * BLOCK_VOXELS as u32 + within_block(node)
     }
 
-    /// The eight nodes about a query in the network's frame.
+    /// The eight nodes around a query in the network's frame.
     pub(crate) fn corners(&self, query: Point) -> Corners {
         if !query.iter().all(|v| v.abs() < MAX_NODE) {
             return Corners::default();
@@ -180,12 +180,12 @@ pub(crate) fn places_between(low: [i32; 3], high: [i32; 3]) -> impl Iterator<Ite
     })
 }
 
-/// Numbers of the eight blocks of the finer grid that a block covers, x fastest.
+/// The numbers of the eight blocks of the finer grid that the block at this place covers, x fastest.
 pub(crate) fn children(fine: &BlockGrid, [x, y, z]: Place) -> [u32; 8] {
     std::array::from_fn(|n| fine.number([2 * x + (n & 1) as i32, 2 * y + (n >> 1 & 1) as i32, 2 * z + (n >> 2) as i32]))
 }
 
-/// The half along each axis of the covering block of a coarser grid in which a block lies; bit 0 is x.
+/// In which half of its parent, a block of the next coarser grid, a block lies along each axis; bit 0 is x.
 pub(crate) fn half_of_parent(place: Place) -> u8 {
     (0..3).map(|axis| ((place[axis] & 1) as u8) << axis).sum()
 }

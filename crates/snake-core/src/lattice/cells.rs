@@ -1,9 +1,9 @@
-//! The starting queries of a scene: there is no grid over its box, because the surface fills almost nothing of it.
+//! The starting queries of a scene: one per cell with points. A grid over the box would be almost empty.
 
 use super::voxel_groups::VoxelGroups;
 use snake_geometry::Point;
 
-/// Steps of a query within its cell. With so few digits it lies alike in a scene that is moved by whole voxels.
+/// Steps per voxel of a query's rounding in its cell. A scene that moves by whole voxels keeps its queries.
 const STEPS: f32 = 256.0;
 
 /// The cells of a lattice of unit spacing that hold points.
@@ -25,7 +25,7 @@ impl Cells {
         let mean = |cell: usize| {
             let low = cells[cell].map(|i| i as f32);
             let number = groups.num_points(cell..cell + 1) as f32;
-            // Offsets within the cell, so that a sum of many points keeps its digits.
+            // Offsets are relative to the cell, so a sum of many points keeps its precision.
             let offsets = groups.members(cell..cell + 1).map(|index| points[index]);
             let sum =
                 offsets.fold([0.0; 3], |sum, point| std::array::from_fn(|axis| sum[axis] + (point[axis] - low[axis])));

@@ -6,7 +6,7 @@ use snake_kernels::Corners;
 /// The positions of a volume's voxels in the network's frame (ConvONet's normalisation of coordinates).
 ///
 /// A coordinate is divided by `1 + padding` and mapped to [0, 1): x and y by adding 0.5, z by its bounds. Coordinates
-/// outside are clamped, so far queries read the border and have zero gradient along that axis.
+/// outside are clamped: far queries read the border, and their features have zero gradient along that axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VolumeFrame {
     /// Number of voxels along x, y, z.
@@ -55,7 +55,7 @@ impl VolumeFrame {
         (0..3).map(|axis| self.voxel_along(axis, point[axis])).sum()
     }
 
-    /// One coordinate's part of the flat index of the voxel.
+    /// The contribution of one coordinate to the flat index of its voxel.
     pub(crate) fn voxel_along(&self, axis: usize, coordinate: f32) -> usize {
         self.place_along(axis, coordinate) * self.resolution[..axis].iter().product::<usize>()
     }
@@ -65,7 +65,7 @@ impl VolumeFrame {
         (self.unit(axis, coordinate) * self.resolution[axis] as f32) as usize
     }
 
-    /// The index along an axis of the lower of the two voxels around a coordinate, and the position from it to the upper.
+    /// The index of the lower of the two voxels around a coordinate, and the fraction of the way to the upper one.
     pub(crate) fn cell_along(&self, axis: usize, coordinate: f32) -> (usize, f32) {
         let last = self.resolution[axis] - 1;
         let place = self.unit(axis, coordinate) * last as f32;

@@ -5,36 +5,36 @@ use snake_kernels::BLOCK_SIDE;
 
 use super::blocks::{BlockGrid, children, half_of_parent, places_between};
 
-/// Nodes from the points, or from the next finer level's blocks, up to which a level has blocks: two convolutions reach so
-/// far, so all features that the encoder makes of the points lie in them.
+/// A level has blocks for all nodes within this distance of the points' cells, or of the next finer level's blocks. Two
+/// convolutions reach this far, so the blocks hold all features that the encoder computes from the points.
 const REACH: i32 = 2;
 
-/// The same for the near blocks: the output of one convolution of the points lies in them.
+/// The same distance for the near blocks: they hold the output of one convolution of the points' features.
 const NEAR: i32 = 1;
 
-/// The same for the filled blocks: the features of the points lie in them.
+/// The same distance for the filled blocks: they hold the features of the points.
 const FILLED: i32 = 0;
 
 /// One level: its blocks and where their neighbours are stored.
 #[derive(Debug, Default)]
 pub(crate) struct Level {
     pub(crate) grid: BlockGrid,
-    /// The blocks near the points, which have the lowest numbers; of coarser levels all blocks. The first convolution of the
-    /// encoder and the last of the decoder make only these.
+    /// The blocks near the points, which have the lowest numbers; at coarser levels, all blocks. The
+    /// encoder's first convolution and the decoder's last one compute only these.
     pub(crate) near: BlockGrid,
-    /// The blocks that the features of the points lie in, which have the lowest numbers of all; of coarser levels all blocks. The
-    /// encoder reads only these.
+    /// The blocks that hold the features of the points, which have the lowest numbers of all; at coarser levels, all
+    /// blocks. The encoder's first convolution reads only these.
     pub(crate) filled: BlockGrid,
-    /// For each block the blocks about it.
+    /// For each block, the numbers of the 27 blocks at its place and around it.
     pub(crate) neighbors: Vec<[u32; 27]>,
-    /// For each block the blocks of the next coarser level about the one that covers it, and its half of that one.
+    /// For each block, the 27 blocks at and around its parent in the next coarser level, and in which half of it the block lies.
     pub(crate) coarser: Vec<[u32; 27]>,
     pub(crate) halves: Vec<u8>,
-    /// For each block the eight blocks of the next finer level that it covers.
+    /// For each block, the eight blocks of the next finer level that it covers.
     pub(crate) children: Vec<[u32; 8]>,
 }
 
-/// The blocks of the finest level over cells given by their lowest nodes: those that hold the cells, those near them, and all.
+/// The blocks of the finest level for cells given by their lowest nodes: blocks that hold the cells, blocks near them, and all.
 #[derive(Debug)]
 pub(crate) struct FinestLevel {
     pub(crate) filled: BlockGrid,
@@ -43,7 +43,7 @@ pub(crate) struct FinestLevel {
 }
 
 impl FinestLevel {
-    /// `None` for more blocks than `max`. The memory grows with the number of cells, and not with that of too many blocks.
+    /// Returns `None` for more blocks than `max`. Memory grows with the number of cells, however many blocks there would be.
     pub(crate) fn new(cells: impl Iterator<Item = [i32; 3]> + Clone, max: usize) -> Option<Self> {
         let own = BlockGrid::new(cells.clone().map(|cell| cell.map(|i| i.div_euclid(BLOCK_SIDE as i32))));
         if own.len() > max {
@@ -60,7 +60,7 @@ impl FinestLevel {
     }
 }
 
-/// The levels of the U-Net from the finest on.
+/// The levels of the U-Net, finest first.
 pub(crate) fn levels(number: usize, FinestLevel { filled, near, all }: FinestLevel) -> Vec<Level> {
     let mut grids = vec![all];
     for level in 1..number {

@@ -1,11 +1,11 @@
-//! Where the voxels of a volume lie: in a cube that every cloud is scaled to, or in blocks about the points of a scene.
+//! Where the voxels of a volume lie: in a cube to which every cloud is scaled, or in blocks around the points of a scene.
 //!
-//! This folder is the only place that knows one from the other. It answers for both: which frame a cloud is put into, where
-//! detection starts its queries, what it corrects afterwards, and which options make sense.
+//! Only this folder distinguishes the two. For both it answers which frame a cloud is put into, where detection starts
+//! its queries, which scores it corrects afterwards, and which options are valid.
 //!
-//! Node `i` of a scene's lattice lies at the coordinate `i` of the network's frame, whose unit is the voxel, and which begins below
-//! the lowest corner of the points. A cell is the space between eight nodes. Far from all points every layer of the network has a constant value, so blocks without points
-//! nearby need neither memory nor time.
+//! A scene's network frame has the voxel as its unit and begins half a voxel below the lowest corner of the points. Node `i` of the
+//! lattice lies at coordinate `i`, and a cell is the space between eight nodes. Far from all points every layer of the network has a
+//! constant value, so blocks without points nearby need neither memory nor time.
 
 mod blocks;
 mod cells;
@@ -42,7 +42,7 @@ use snake_kernels::{BLOCK_SIDE, Corners};
 pub(crate) enum Lattice {
     /// All voxels of a cube.
     Cube(VolumeFrame),
-    /// The voxels of a scene's blocks, and the cells that hold its points.
+    /// The voxels of a scene's blocks, and the cells that contain its points.
     Blocks(BlockGrid, Cells),
 }
 
@@ -71,7 +71,7 @@ impl Lattice {
         }
     }
 
-    /// D, H, W. The blocks of a scene lie one after another along z, the block for all missing ones first.
+    /// D, H, W. The blocks of a scene are stacked along z; the first one stands for all missing blocks.
     pub(crate) fn size(&self) -> [usize; 3] {
         match self {
             Self::Cube(frame) => frame.size(),
@@ -113,7 +113,7 @@ impl Lattice {
     }
 
     /// The queries from which detection starts: a grid over the cube, or the mean of the points of each cell of a scene.
-    /// `points` are those of the cloud in the frame of the volume, which `orientation` rotates.
+    /// `points` is the cloud in the frame of the volume, which `orientation` rotates.
     pub(crate) fn queries(
         &self,
         points: impl Iterator<Item = Point>,
@@ -139,7 +139,7 @@ impl Lattice {
         }
     }
 
-    /// Takes the cells of these points, in the network's frame, instead of those that were encoded.
+    /// Replaces the cells of a scene by the cells of these points, which are in the network's frame.
     pub(crate) fn set_cells(&mut self, points: impl Iterator<Item = Point>) {
         match self {
             Self::Cube(_) => (),
@@ -147,7 +147,7 @@ impl Lattice {
         }
     }
 
-    /// Corrects the scores of refined queries: in a scene those near the rims of the seen surface.
+    /// Lowers the scores of a scene's refined queries near the rims of the seen surface; a cube stays as it is.
     pub(crate) fn adjust(&self, refined: &mut [Refined]) -> Result<()> {
         match self {
             Self::Cube(_) => Ok(()),

@@ -16,7 +16,7 @@ pub(crate) struct Refined {
     pub(crate) score: f32,
 }
 
-/// Minimum number of queries of a batch, enough for many threads.
+/// Minimum number of queries in a batch of a grid, enough for many threads.
 const MIN_BATCH: usize = 16_384;
 
 /// Starting queries in the network's frame.
@@ -30,7 +30,7 @@ enum Kind {
 }
 
 impl Queries {
-    /// The grid over the cube ±0.5.
+    /// The grid over ±0.5 along x and y, and over the volume's bounds along z.
     pub(super) fn grid(
         frame: &VolumeFrame,
         points: impl Iterator<Item = Point>,
@@ -40,12 +40,12 @@ impl Queries {
         Self(Kind::Grid(QueryGrid::new(frame, points, orientation, options)))
     }
 
-    /// One query in each of some cells.
+    /// One query per cell.
     pub(crate) fn cells(means: impl ExactSizeIterator<Item = Point>) -> Self {
         Self(Kind::Cells(means.collect()))
     }
 
-    /// The number of queries, those included that are dropped without evaluation.
+    /// The number of queries, including those that are dropped without evaluation.
     pub(crate) fn len(&self) -> usize {
         match &self.0 {
             Kind::Grid(grid) => grid.resolution().pow(3),
@@ -53,8 +53,8 @@ impl Queries {
         }
     }
 
-    /// Calls a function with all queries, batch by batch, and with the number that each batch stands for. The planes of a grid
-    /// come in batches, to save memory: x slowest and z fastest.
+    /// Calls `batch` with the queries of each batch and with their number before any were dropped. To save memory, a
+    /// batch of a grid has only a few of its planes. Queries vary slowest along x and fastest along z.
     pub(crate) fn for_each_batch(&self, mut batch: impl FnMut(&[Point], usize) -> Result<()>) -> Result<()> {
         match &self.0 {
             Kind::Cells(cells) => batch(cells, cells.len()),

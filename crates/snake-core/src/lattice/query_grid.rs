@@ -7,20 +7,20 @@ use snake_geometry::{
     rotations::{Rotation, rotate_inverse},
 };
 
-/// The query grid of a detection, in the orientation of the volume. A few planes at a time are
-/// generated, to save memory.
+/// The query grid of a detection, in the orientation of the volume. It generates a few planes at a
+/// time, to save memory.
 #[derive(Debug)]
 pub(super) struct QueryGrid {
-    /// The coordinates of the queries along each axis, each with its part of the flat voxel index.
+    /// The coordinates of the queries along each axis, each with its contribution to the flat voxel index.
     axes: [Vec<(f32, usize)>; 3],
-    /// Whether the queries of each voxel are evaluated; `None`: all are.
+    /// Whether the queries in each voxel are evaluated; `None`: all are.
     band: Option<Vec<bool>>,
     orientation: Rotation,
 }
 
 impl QueryGrid {
-    /// The grid over the cube ±0.5, or over the volume's bounds along z.
-    /// `points` are those of the cloud in the frame of the volume.
+    /// The grid over ±0.5 along x and y, and over the volume's bounds along z.
+    /// `points` is the cloud in the frame of the volume.
     pub(super) fn new(
         frame: &VolumeFrame,
         points: impl Iterator<Item = Point>,

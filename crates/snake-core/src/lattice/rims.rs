@@ -1,9 +1,9 @@
-//! Rims: the ends of the seen surface, at the border of a crop, at the edge of an image or beside an object that hides it.
+//! Rims: where the seen surface ends, at the border of a crop, at the edge of an image or beside an occluding object.
 //!
-//! The network sees less of a surface at its rim and takes it for a corner. A cell lies on a rim if the cells around it are about
-//! as flat as a plane and lie on one side of it. An edge or a corner has another face on the other side. Whether a
-//! thing really ends there cannot be told from its points: the free edge of a board has lower scores too, which only its
-//! strongest corners survive.
+//! The network sees less of a surface at its rim and mistakes it for a corner. A cell lies on a rim if the cells around it are
+//! nearly planar and lie on one side of it. At an edge or a corner, another face lies on the other side. The points cannot show
+//! whether an object really ends there: scores at the free edge of a board are lowered too, and only its strongest corners
+//! survive.
 
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -12,23 +12,23 @@ use snake_geometry::{Point, RadiusCells, eigen};
 use super::queries::Refined;
 use crate::Result;
 
-/// Radius about a cell, in voxels, within which cells count as its neighbours.
+/// Cells within this distance of a cell, in voxels, are its neighbours.
 const NEIGHBOURHOOD: f32 = 3.0;
-/// Minimum distance along the plane, in voxels, of the neighbours' mean from a cell on a rim. Half a disc's mean lies 1.27 voxels
-/// from its centre.
+/// Minimum distance along the plane, in voxels, between a cell on a rim and the mean of its neighbours. The mean of half a disc
+/// lies 1.27 voxels from the centre.
 const MIN_OFFSET: f64 = 0.75;
 /// Maximum variance across the plane, as a share of the smaller one along it.
 const MAX_THICKNESS: f64 = 0.3;
 /// Minimum of the smaller variance along the plane, as a share of the larger one: a pole or a ring of a sweep has no rim.
 const MIN_WIDTH: f64 = 0.1;
-/// Maximum distance in voxels of a query from a cell of a rim for a lower score.
+/// Scores are lowered within this distance of a cell on a rim, in voxels.
 const DISTANCE: f32 = 1.5;
-/// The factor of the scores near a rim.
+/// Factor of the scores near a rim.
 const SHARE: f32 = 0.6;
-/// Offsets are rounded to steps, this many a voxel: sums of integers do not depend on their order.
+/// Offsets are rounded to 1 / `STEPS` voxels, because sums of integers do not depend on their order.
 const STEPS: f32 = 256.0;
 
-/// Lowers the score of queries near a rim. `cells` are the means of the points of all cells with points; all positions are in
+/// Lowers the scores of queries near a rim. `cells` are the mean points of all occupied cells. All positions are in
 /// voxels.
 pub(super) fn lower_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()> {
     let around = RadiusCells::new(cells, NEIGHBOURHOOD)?;
@@ -71,7 +71,7 @@ fn is_on_rim(around: &RadiusCells, cell: usize) -> bool {
 mod tests {
     use super::*;
 
-    /// The number of queries at cells whose score stays, and of all, of those whose position `is_asked` accepts.
+    /// Two numbers of queries at cells whose score stays: of all, and of those whose position `is_asked` accepts.
     fn left(cells: &[Point], is_asked: impl Fn(&Point) -> bool) -> [usize; 2] {
         let mut refined: Vec<Refined> = cells.iter().map(|&position| Refined { position, score: 0.5 }).collect();
         lower_rims(&mut refined, cells).unwrap();

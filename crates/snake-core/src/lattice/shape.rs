@@ -68,7 +68,7 @@ impl VolumeShape {
         }
     }
 
-    /// Refuses a volume that cannot be made tile by tile, of a model of this name.
+    /// Refuses a volume that cannot be computed tile by tile. `name` is the model's name.
     pub(crate) fn check_tiles(&self, name: &str) -> Result<()> {
         match self {
             Self::Cube(_) => {
@@ -79,7 +79,7 @@ impl VolumeShape {
         }
     }
 
-    /// The map of a cloud to the network's frame, and the rotation of the volume in it.
+    /// The map from the cloud to the network's frame, and the rotation of the volume in that frame.
     pub(crate) fn place(
         &self,
         cloud: &UsedCloud,
@@ -104,7 +104,7 @@ impl VolumeShape {
         }
     }
 
-    /// The step of a cloud's coordinates if it is coarser than the voxels would be without it.
+    /// The step of a cloud's coordinates, if it is coarser than the voxels would be without it.
     pub(crate) fn coarse_step(&self, cloud: &UsedCloud, options: &EncodeOptions) -> Option<CoordinateStep> {
         match self {
             Self::Cube(frame) => {

@@ -13,7 +13,7 @@ use snake_geometry::Point;
 pub(crate) struct VoxelGroups {
     /// The flat index of each point's voxel.
     voxel_of_point: Vec<u32>,
-    /// The indices of the points: voxel by voxel, ascending within a voxel.
+    /// The indices of the points, voxel by voxel and ascending within a voxel.
     members: Vec<u32>,
     /// The flat indices of the occupied voxels, ascending.
     voxels: Vec<u32>,
@@ -22,13 +22,13 @@ pub(crate) struct VoxelGroups {
 }
 
 impl VoxelGroups {
-    /// Groups `num_points` points, at most [`u32::MAX`], given by `point` in the network's frame, instead of those that
-    /// were grouped before.
+    /// Groups `num_points` points, at most [`u32::MAX`], and replaces the previous groups. `point` returns a point by its
+    /// index, in the network's frame.
     pub(crate) fn fill(&mut self, num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) {
         let Self { voxel_of_point, members, voxels, starts } = self;
         let voxel = |index: usize| frame.voxel(point(index)) as u32;
         (0..num_points).into_par_iter().map(voxel).collect_into_vec(voxel_of_point);
-        // A counting sort. The place of the next point of each voxel, at first their number.
+        // A counting sort: `next` has the number of points of each voxel, and then the place of its next point.
         let mut next = vec![0_u32; frame.resolution.iter().product()];
         voxel_of_point.iter().for_each(|voxel| next[*voxel as usize] += 1);
         voxels.clear();
@@ -51,9 +51,9 @@ impl VoxelGroups {
         }
     }
 
-    /// Groups points by the cell of a lattice of unit spacing that contains them, instead of those that were grouped before.
-    /// Of points that share one of the 32³ parts of a cell only the first is kept, so that a cloud with every point twice is
-    /// encoded as the cloud itself. Coordinates are within ±2^20. Returns the lowest node of each occupied cell, by z, then y,
+    /// Groups points by the cell of a lattice of unit spacing that contains them, and replaces the previous groups. Each cell
+    /// has 32³ parts; only the first point of a part is kept, so a cloud in which every point occurs twice is encoded like the
+    /// cloud itself. Coordinates must be within ±2^20. Returns the lowest node of each occupied cell, ordered by z, then y,
     /// then x.
     pub(crate) fn fill_sparse(&mut self, points: &[Point]) -> Vec<[i32; 3]> {
         const MIDDLE: i32 = 1 << 20;
@@ -92,7 +92,7 @@ impl VoxelGroups {
         self.voxels.iter().map(|&voxel| voxel as usize)
     }
 
-    /// Runs a task on ranges of occupied voxels with their rows of `sums`: on at most `most` points, or on a single voxel.
+    /// Runs a task in parallel on ranges of occupied voxels with at most `most` points, or of one voxel, and their `sums`.
     pub(crate) fn in_parts(
         &self,
         most: usize,
@@ -135,14 +135,14 @@ impl VoxelGroups {
         (self.starts[voxels.end] - self.starts[voxels.start]) as usize
     }
 
-    /// The indices of the points of a range of occupied voxels: voxel by voxel, ascending within a voxel.
+    /// The indices of the points in a range of occupied voxels, voxel by voxel and ascending within a voxel.
     pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
         let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
         self.members[start..end].iter().map(|&index| index as usize)
     }
 }
 
-/// The parts of a cell, 32 along each axis, that hold a point.
+/// The parts of a cell, 32 along each axis, that contain a point.
 #[derive(Debug)]
 struct CellParts {
     is_taken: Vec<bool>,
@@ -192,7 +192,7 @@ mod tests {
         assert_eq!(groups.members(0..cells.len()).collect::<Vec<_>>(), once);
         let moved = points.iter().map(|point| point.map(|v| v + 2e-4));
         let twice: Vec<Point> = points.iter().copied().chain(moved).collect();
-        // A few pairs lie across the border of a part.
+        // In a few pairs, the two points lie on different sides of a part's border.
         let number = groups.fill_sparse(&twice).len();
         assert!((4000..4200).contains(&groups.num_points(0..number)), "{}", groups.num_points(0..number));
     }

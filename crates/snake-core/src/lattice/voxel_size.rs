@@ -1,19 +1,19 @@
-//! The voxel size of a scene, where none is given.
+//! The rule that chooses the voxel size of a scene if none is given.
 //!
-//! The rule takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8 (times any power of ten) at which
+//! The rule takes the smallest size of the series 1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8 (times any power of ten) such that
 //!
-//! - at most 80 % as many voxels hold points as there are places on the surface: a voxel is then a little larger than the
-//!   distance between neighbouring places. A sweep ([`UsedCloud::is_sweep`]) has 95 %, because its points lie far apart where
-//!   there is something to see;
-//! - coordinates have no coarser step ([`UsedCloud::coordinate_step`]); and
-//! - at most [`MAX_VOXELS`] voxels hold points and the volume has at most [`MAX_BLOCKS`] blocks, which bounds time and memory
-//!   of every cloud.
+//! - the number of occupied voxels is at most 80 % of the number of places on the surface. A voxel is then a little larger
+//!   than the distance between neighbouring places. A sweep ([`UsedCloud::is_sweep`]) has 95 %, because its points lie far
+//!   apart where objects are;
+//! - the size is at least the step of the coordinates ([`UsedCloud::coordinate_step`]); and
+//! - at most [`MAX_VOXELS`] voxels are occupied and the volume has at most [`MAX_BLOCKS`] blocks. This bounds time and
+//!   memory for every cloud.
 //!
-//! Places are counted from large voxels down, until voxels half as large find no more: points that lie closer together
-//! count once, such as those of a cloud that was stored twice.
+//! Places are the occupied voxels at the size where halving the voxels finds no more of them. Points that lie closer together
+//! count once, such as the points of a cloud that was stored twice.
 //!
-//! Two clouds of one sensor so have the same size more often than by a rule without steps, and a room in millimetres has
-//! a thousand times the size of the room in metres.
+//! Because of the steps, two clouds of one sensor more often have the same size. A room in millimetres has a thousand times
+//! the size of the same room in metres.
 
 use rayon::prelude::*;
 
@@ -25,19 +25,19 @@ use crate::control::Control;
 use crate::{Error, Result};
 use snake_geometry::{Length, Point};
 
-/// Voxels with points, at most: about as many as a sweep of 120 000 points has at 0.28 m.
+/// Maximum number of occupied voxels: about as many as a sweep of 120 000 points has at 0.28 m.
 const MAX_VOXELS: usize = 32_000;
 
-/// Blocks of the volume, at most: a little more than a sweep of 25 000 points has at 0.25 m.
+/// Maximum number of blocks of the volume: a little more than a sweep of 25 000 points has at 0.25 m.
 const MAX_BLOCKS: usize = 18_000;
 
-/// Voxels with points, at most, for each place of the surface; of a sweep the second.
+/// Maximum number of occupied voxels as a share of the number of places: for other clouds, and for a sweep.
 const SHARES: [f64; 2] = [0.8, 0.95];
 
-/// Halving voxels finds no more places if it finds less than this many times as many. ...
+/// Halving the voxels finds no more places if their number grows by less than this factor ...
 const NO_MORE: f64 = 1.02;
 
-/// ... and there is at most this number of points for each: a few clusters far apart are not all that there is to see.
+/// ... and they have at most this many points on average: a few clusters far apart do not show all places.
 const MAX_POINTS_A_PLACE: usize = 8;
 
 /// Steps of the series in a factor of ten.
@@ -46,7 +46,7 @@ const STEPS: i32 = 10;
 /// Steps of the series in a factor of two.
 const STEPS_OF_HALF: i32 = 3;
 
-/// The voxel size in cloud units: the given one, or the one of the rule.
+/// The voxel size in cloud units: the given one, or the one that the rule chooses.
 pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, control: &Control) -> Result<f32> {
     match given {
         Some(size) => Ok(size.in_units("voxel_size", cloud.points())? as f32),
@@ -54,7 +54,7 @@ pub(crate) fn voxel_size(given: Option<Length>, cloud: &UsedCloud, control: &Con
     }
 }
 
-/// The step of the coordinates if it is coarser than voxels would be without it.
+/// The step of the coordinates, if it is coarser than the voxels would be without it.
 pub(crate) fn coarse_step(given: Option<Length>, cloud: &UsedCloud) -> Option<CoordinateStep> {
     let step = cloud.coordinate_step()?;
     let size = match given {
@@ -64,14 +64,14 @@ pub(crate) fn coarse_step(given: Option<Length>, cloud: &UsedCloud) -> Option<Co
     (size < step.length).then_some(step)
 }
 
-/// The size of the rule: for the places of the surface, for the blocks of the volume, for the step of the coordinates.
+/// The size that the rule chooses from the places of the surface, the blocks of the volume and the step of the coordinates.
 fn chosen(cloud: &UsedCloud, control: &Control) -> Result<f64> {
     let step = step_for_density(cloud, control)?;
     let least = cloud.coordinate_step().map(|CoordinateStep { length, .. }| step_of(length));
     Ok(size_of(step.max(least.unwrap_or(step))))
 }
 
-/// The step of the series of the rule, but for the step of the coordinates. The cloud keeps it.
+/// The step of the series before the step of the coordinates is considered. The cloud caches it.
 fn step_for_density(cloud: &UsedCloud, control: &Control) -> Result<i32> {
     if let Some(step) = cloud.voxel_step.get() {
         return Ok(*step);
@@ -89,7 +89,7 @@ fn step_for_density(cloud: &UsedCloud, control: &Control) -> Result<i32> {
     Ok(*cloud.voxel_step.get_or_init(|| step))
 }
 
-/// The smallest step at which at most a share as many voxels as places, and at most [`MAX_VOXELS`], hold points.
+/// The smallest step at which the occupied voxels are at most `share` times the places, and at most [`MAX_VOXELS`].
 fn step_for_places(voxels: &Voxels, largest: i32, share: f64, control: &Control) -> Result<i32> {
     let numbers = numbers_of_halves(voxels, largest, share, control)?;
     let (&(mut too_small, places), larger) = numbers.split_last().expect("one voxel as large as the cloud");
@@ -103,8 +103,8 @@ fn step_for_places(voxels: &Voxels, largest: i32, share: f64, control: &Control)
     Ok(fits)
 }
 
-/// The first step from one on at which the volume has at most [`MAX_BLOCKS`] blocks. Voxels that stand alone have many: those
-/// of rings far apart, and of a dense part in the midst of a wide cloud.
+/// The first step at or above `from` at which the volume has at most [`MAX_BLOCKS`] blocks. Isolated voxels need many blocks,
+/// such as voxels on rings far apart, or in a dense part of a much wider cloud.
 fn step_for_blocks(voxels: &Voxels, from: i32, largest: i32, control: &Control) -> Result<i32> {
     let mut step = from;
     while step <= largest && !voxels.are_within_budget(size_of(step)) {
@@ -114,9 +114,9 @@ fn step_for_blocks(voxels: &Voxels, from: i32, largest: i32, control: &Control) 
     Ok(step)
 }
 
-/// The numbers of voxels at steps from a voxel as large as the cloud down by halves. The last one is the number of places of
-/// the surface that the points tell apart, and voxels of its step are too small for a share of them. Beyond the budget of
-/// voxels places are not counted.
+/// The numbers of occupied voxels by step, halving the size from the extent of the cloud on. The last number is the number of
+/// places on the surface that the points resolve, and voxels of its step are too small for `share` of them. Halving stops
+/// early where the budget of voxels decides instead.
 fn numbers_of_halves(voxels: &Voxels, largest: i32, share: f64, control: &Control) -> Result<Vec<(i32, usize)>> {
     let smallest = largest - 6 * STEPS;
     let (mut step, mut number) = (largest, 1);
@@ -142,7 +142,7 @@ struct Voxels<'a> {
 }
 
 impl Voxels<'_> {
-    /// How far a point lies above the lowest corner.
+    /// The offset of a point from the lowest corner.
     fn offset(&self, point: &Point) -> [f64; 3] {
         std::array::from_fn(|axis| f64::from(point[axis]) - f64::from(self.lowest[axis]))
     }
@@ -151,7 +151,7 @@ impl Voxels<'_> {
         self.points.iter().map(|point| self.offset(point).into_iter().fold(0.0, f64::max)).fold(0.0, f64::max)
     }
 
-    /// The places of all points' voxels in order, as the [lattice](super::corner) has them: 21 bits each of z, y and x.
+    /// The sorted keys of all points' cells in the [lattice](super::corner): 21 bits each for z, y and x.
     fn keys(&self, size: f64) -> Vec<u64> {
         let key = |point| {
             let [x, y, z] = self.offset(point).map(|v| (v / size + 0.5) as i64 as u64 & 0x1F_FFFF);
@@ -162,7 +162,7 @@ impl Voxels<'_> {
         keys
     }
 
-    /// The number of voxels of a step that hold points.
+    /// The number of occupied voxels at a step.
     fn number(&self, step: i32) -> usize {
         1 + self.keys(size_of(step)).windows(2).filter(|pair| pair[0] != pair[1]).count()
     }
@@ -175,7 +175,7 @@ impl Voxels<'_> {
         }
         let mut keys = self.keys(size);
         keys.dedup();
-        // The lowest 21 bits of a place, with its sign.
+        // The lowest 21 bits of a key are a signed place.
         let place = |bits: u64| ((bits << 43) as i64 >> 43) as i32;
         let cells = keys.iter().map(|&key| [key, key >> 21, key >> 42].map(place));
         FinestLevel::new(cells, MAX_BLOCKS).is_some()

@@ -1,4 +1,4 @@
-//! Detection in clouds that come one after another.
+//! Detection in a sequence of clouds.
 
 use crate::Model;
 use crate::Result;
@@ -9,8 +9,8 @@ use crate::field::{Field, FieldMemory};
 use crate::options::Options;
 use snake_geometry::PointSource;
 
-/// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. The volumes of
-/// one cloud, which are most of its memory, are used again for the next.
+/// A model with its options for a sequence of clouds, such as the sweeps of a laser scanner. The feature volumes take most
+/// of the memory; the next cloud reuses it.
 ///
 /// ```
 /// use snake_core::{Builtin, Detection, FrameDetector, Model};
@@ -33,7 +33,7 @@ pub struct FrameDetector {
 }
 
 impl FrameDetector {
-    /// A detector of a model with options.
+    /// A detector for a model with these options.
     ///
     /// # Errors
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
@@ -52,10 +52,10 @@ impl FrameDetector {
         &self.options
     }
 
-    /// Replaces `detection` by the keypoints of a cloud. They have the bits of [`Model::detect`].
+    /// Replaces `detection` by the keypoints of a cloud. They are bit-identical to those of [`Model::detect`].
     ///
     /// # Errors
-    /// The errors of [`Model::detect`]. The old content of `detection` is then kept.
+    /// The errors of [`Model::detect`]; `detection` then keeps its old content.
     pub fn detect_into(&mut self, source: &(impl PointSource + ?Sized), detection: &mut Detection) -> Result<()> {
         self.detect_into_with(source, detection, &Control::default())
     }

@@ -1,4 +1,4 @@
-//! One cloud after another, in the same memory.
+//! A sequence of clouds, in the same memory.
 
 mod detector;
 

@@ -1,12 +1,12 @@
-//! The checks before every call: the options of a network, and limits of memory and time. Without these a small weight
-//! file could use all memory or run for hours, although each option is within its range.
+//! The checks before every call: the options of a network, and limits of memory and time. Without the limits, a small
+//! weight file could use all memory or run for hours even if each option is within its range.
 
 use super::{ModelConfig, Network, weights};
 use crate::options::{DetectOptions, EncodeOptions, Options};
 use crate::{Error, Result};
 
 impl Network {
-    /// Refuses options out of their ranges, and those that this network cannot serve or that need too much memory or time.
+    /// Refuses options that are out of range, that this network does not support, or that need too much memory or time.
     pub(crate) fn check(&self, options: &Options) -> Result<()> {
         self.check_encode(&options.encode)?;
         self.check_detect(&options.detect, options.encode.rotations)
@@ -49,8 +49,8 @@ const MAX_EVALUATIONS: usize = 1 << 28;
 /// Number of channels that the kernels compute at once. A voxel with fewer channels costs as much.
 const MIN_CHANNELS: usize = 16;
 
-/// Number of values of a feature volume, or of the widest volume of this resolution in the U-Net. That of a scene is known
-/// only from the cloud: 0.
+/// Number of values of a feature volume, or of the widest volume of this resolution in the U-Net. It is 0 for a scene
+/// model, whose volume is known only with the cloud.
 fn volume_values(config: &ModelConfig) -> usize {
     config.volume.num_voxels() * widest(config)
 }

@@ -1,14 +1,14 @@
-//! The map from what is known of a keypoint to the probability that another view finds it again, from the weight file's metadata.
+//! The map from a keypoint's score and precision to the probability that another view finds it again, from the file's metadata.
 
 use serde::Deserialize;
 
 use crate::Result;
 use crate::network::weights::{self, Weights};
 
-/// Knots, at most.
+/// Maximum number of knots.
 const MAX_KNOTS: usize = 64;
 
-/// Smaller and larger standard deviations count as these, in voxels.
+/// Standard deviations are clamped to this range, in voxels.
 const DEVIATIONS: [f32; 2] = [0.06, 0.6];
 
 /// A piecewise linear, non-decreasing map from evidence to probabilities, fitted by `snake_training.confidence`.
@@ -17,8 +17,8 @@ const DEVIATIONS: [f32; 2] = [0.06, 0.6];
 pub(crate) struct ConfidenceMap {
     /// Evidence and probability, by rising evidence.
     knots: Vec<[f32; 2]>,
-    /// What each halving of the standard deviation along a direction adds to the score, but for the direction that is known best,
-    /// as across a wall.
+    /// Evidence that each halving of the standard deviation adds to the score, along each of the two least precise directions. The
+    /// most precise direction, such as across a wall, adds nothing.
     precision: f32,
 }
 
@@ -26,7 +26,7 @@ pub(crate) struct ConfidenceMap {
 #[derive(Deserialize)]
 #[serde(untagged, deny_unknown_fields)]
 enum Map {
-    /// The score counts alone.
+    /// Only the score counts.
     Scores(Vec<[f32; 2]>),
     /// The score and the standard deviations count.
     Evidence { knots: Vec<[f32; 2]>, precision: f32 },
@@ -42,8 +42,8 @@ impl From<Map> for ConfidenceMap {
 }
 
 impl ConfidenceMap {
-    /// The metadata key `confidence` as JSON: `[[score, probability], ..]`, or `{"knots": .., "precision": ..}` if the standard
-    /// deviation counts too; `None` where the file has none.
+    /// Reads the metadata key `confidence`, which is JSON: `[[score, probability], ..]`, or `{"knots": .., "precision": ..}` if
+    /// the standard deviations count too. Returns `None` if the file has no such key.
     pub(crate) fn from_weights(file: &Weights) -> Result<Option<Self>> {
         let Some(json) = file.metadata.get("confidence") else { return Ok(None) };
         let refused = |found: String| {
@@ -58,8 +58,8 @@ impl ConfidenceMap {
         if is_map { Ok(Some(map)) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability of a keypoint's score and standard deviations along three directions in a volume of this voxel size: linear
-    /// between knots, that of the first or the last knot beyond them.
+    /// The probability for a keypoint's score and its standard deviations along three directions, in a volume of this voxel size.
+    /// It is linear between knots and constant beyond the first and the last one.
     pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> f32 {
         let [low, high] = DEVIATIONS;
         let mut halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());
@@ -80,7 +80,7 @@ mod tests {
     use crate::{Builtin, Error, Model};
     use safetensors::SafeTensors;
 
-    /// The model `compact` with another map; `None` is none.
+    /// The model `compact` with another map; without a map for `None`.
     fn model(map: Option<&str>) -> crate::Result<Model> {
         let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/models/compact.safetensors")).unwrap();
         let (_, header) = SafeTensors::read_metadata(&bytes).unwrap();

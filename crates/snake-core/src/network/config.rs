@@ -7,11 +7,11 @@ use crate::network::weights::{self, Weights};
 /// How the encoder scatters the features of points to voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scatter {
-    /// A voxel is the mean of the features of its points, as in the authors' network.
+    /// A voxel has the mean feature of its points, as in the authors' network.
     #[default]
     Hard,
     /// A feature is added to the eight nearest voxels with trilinear weights. A voxel's sum is divided by its total weight,
-    /// or by the typical total weight of the cloud's voxels if that is larger.
+    /// but at least by a limit: the mean total weight of the cloud's voxels, or the `scatter_mass` of a scene model.
     Soft,
 }
 
@@ -40,9 +40,9 @@ pub struct ModelConfig {
     pub resnet_blocks: usize,
     /// Levels of the U-Net.
     pub unet_levels: usize,
-    /// Channels of its first level; each level below doubles them.
+    /// Channels of the first level; each coarser level doubles them.
     pub unet_base_channels: usize,
-    /// Groups of its group normalisations; 1 for layers with fewer channels. A scene model has none: 0.
+    /// Groups of each group normalisation; 1 for layers with fewer channels, 0 for a scene model, which has none.
     pub group_norm_groups: usize,
     /// How features are scattered to voxels; hard if the file does not say.
     pub scatter: Scatter,
@@ -93,7 +93,7 @@ impl ModelConfig {
     }
 }
 
-/// The frame of a volume that every cloud is scaled to.
+/// The frame of a volume to which every cloud is scaled.
 fn cube_frame(file: &Weights) -> Result<VolumeFrame> {
     let text = file.text("resolution")?;
     let sizes = text.trim_matches(['[', ']']).split(',').map(|v| v.trim().parse::<usize>().ok());

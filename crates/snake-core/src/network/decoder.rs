@@ -1,4 +1,4 @@
-//! The implicit decoder: a residual MLP on the query with the interpolated feature as input of every block.
+//! The implicit decoder: a residual MLP on the query, which adds the interpolated feature to the input of every block.
 
 use crate::lattice::VolumeShape;
 use crate::network::layers::{Linear, ResnetBlockFc};
@@ -47,14 +47,14 @@ struct Stage {
 
 /// The activations that the backward pass needs: outputs of ReLUs, whose zeros stop the gradient.
 struct Trace {
-    /// ReLU of each block's input and of its first layer's output, `(2 stages, queries, width)`; only of the last block
-    /// if no backward pass follows.
+    /// ReLU of each block's input and of its first layer's output, `(2 stages, queries, width)`; without a backward
+    /// pass, only those of the last block.
     relus: Vec<f32>,
     /// ReLU of the last block's output.
     last: Vec<f32>,
 }
 
-/// Values of a field at queries, with the derivatives with respect to the query's coordinates (at a constant feature)
+/// Values of a field at queries, with their derivatives with respect to the query's coordinates (at a constant feature)
 /// and with respect to the feature.
 pub(crate) struct ValuesAndGradients {
     pub(crate) values: Vec<f32>,
@@ -85,7 +85,7 @@ impl Decoder {
             head,
             fc_p: match config.volume {
                 VolumeShape::Cube(_) => Linear::load(&scope.at("fc_p"), 3, width)?,
-                // A scene's decoders do not see where a query lies, so their values do not depend on the origin.
+                // A scene's decoders do not receive the query's position, so their values do not depend on the origin.
                 VolumeShape::Scene { .. } => {
                     Linear::new(3, width, &vec![0.0; 3 * width], &scope.at("fc_p").tensor("bias", &[width])?)
                 }

@@ -142,7 +142,7 @@ impl Tensor {
     }
 }
 
-/// The number of voxels from which on the savings of 4x4x4 tiles outweigh their larger weights.
+/// From this number of voxels on, the savings of 4x4x4 tiles outweigh their larger weights.
 const LARGE: usize = 16 * 16 * 16;
 
 /// GroupNorm, 3x3x3 convolution without bias, ReLU ("gcr").
@@ -181,7 +181,7 @@ impl SingleConv {
         })
     }
 
-    /// The first input has the output's size, a second input half of it. Once `stop` returns true the rest is skipped,
+    /// The first input has the output's size, a second one half of it. Once `stop` returns true, the rest is skipped
     /// and the output must not be used.
     pub(crate) fn forward<const N: usize>(
         &self,

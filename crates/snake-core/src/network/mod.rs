@@ -22,14 +22,14 @@ use crate::network::encoder::Encoder;
 use crate::network::weights::Weights;
 use crate::options::Options;
 
-/// Encoder and decoders.
+/// Encoder, decoders and metadata of a model.
 #[derive(Debug)]
 pub(crate) struct Network {
     pub(crate) config: ModelConfig,
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) recommended: Options,
     pub(crate) num_parameters: usize,
-    /// From scores to the probability that another view finds a keypoint again.
+    /// Maps scores to the probability that another view finds a keypoint again.
     pub(crate) confidence: Option<ConfidenceMap>,
     /// The BLAKE3 digest of the weight file.
     pub(crate) digest: String,
@@ -60,7 +60,7 @@ impl Network {
         Ok(network)
     }
 
-    /// The probability that another view finds a keypoint again, by its score and standard deviations in a volume of this voxel size.
+    /// The probability that another view finds a keypoint again; `None` without a map. See [`ConfidenceMap::at`] for the arguments.
     pub(crate) fn confidence(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> Option<f32> {
         self.confidence.as_ref().map(|map| map.at(score, deviations, voxel_size))
     }

@@ -9,12 +9,12 @@ use snake_kernels::{Buffer, Corners, SimdLevel, interpolate, interpolate_backwar
 pub struct Volume {
     pub(crate) lattice: Lattice,
     pub(crate) channels: usize,
-    /// `[z][y][x][channel]`; of a scene `[block][z][y][x][channel]`.
+    /// `[z][y][x][channel]`; in a scene `[block][z][y][x][channel]`.
     pub(crate) values: Buffer,
 }
 
 impl Volume {
-    /// The positions of the voxels; `None` for a scene, which stores only blocks about the points.
+    /// The positions of the voxels; `None` for a scene, which stores only blocks around the points.
     pub fn frame(&self) -> Option<VolumeFrame> {
         self.lattice.frame()
     }
@@ -24,8 +24,8 @@ impl Volume {
         &self.values
     }
 
-    /// The number of features along each dimension: `[z][y][x][channel]`. In a scene, z counts the planes of its blocks of
-    /// 4³ voxels one after another; the first block holds the features far from all points.
+    /// The number of features along each dimension: `[z][y][x][channel]`. In a scene, blocks of 4³ voxels are stacked
+    /// along z; the first block holds the features far from all points.
     pub fn shape(&self) -> [usize; 4] {
         let [depth, height, width] = self.lattice.size();
         [depth, height, width, self.channels]
@@ -36,7 +36,7 @@ impl Volume {
         ndarray::ArrayView::from_shape(self.shape(), self.features()).expect("as many features as the shape says")
     }
 
-    /// Writes trilinear features `(queries, channels)` and returns the corners that were read.
+    /// Writes trilinearly interpolated features `(queries, channels)` and returns the corners that were read.
     pub(crate) fn interpolate(&self, lattice: &Lattice, queries: &[Point], features: &mut [f32]) -> Vec<Corners> {
         let corners: Vec<Corners> = queries.iter().map(|&query| lattice.corners(query)).collect();
         interpolate(SimdLevel::current(), &self.values, self.channels, &corners, features);

@@ -16,8 +16,8 @@ use snake_geometry::excerpt;
 /// The longest header of a weight file, in bytes: the limit of the safetensors format.
 const MAX_HEADER: u64 = 100_000_000;
 
-/// The bytes of a weight file, for [`Model::from_bytes`](crate::Model::from_bytes). What does not begin as one is not read to its
-/// end, which a device does not have.
+/// The bytes of a weight file, for [`Model::from_bytes`](crate::Model::from_bytes). A file whose first bytes cannot be the
+/// length of a header is not read further, because a device may have no end.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read.
@@ -41,7 +41,7 @@ pub(crate) struct Weights<'data> {
 }
 
 impl<'data> Weights<'data> {
-    /// Reads the header; another `format_version` than 1, or 2 for scene models, is refused.
+    /// Reads the header. Refuses a `format_version` other than 1, or 2 for scene models.
     pub(crate) fn open(bytes: &'data [u8]) -> Result<Self> {
         let broken = |e| error("file", "a safetensors file", format!("{e}"));
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;

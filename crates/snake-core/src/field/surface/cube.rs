@@ -6,7 +6,7 @@ pub(super) type CubeEdge = (usize, usize);
 /// The triangles of each case, as triples of crossed edges, counterclockwise seen from the empty side. Bit c of a case
 /// is set if corner c is occupied.
 ///
-/// This is marching cubes (Lorensen and Cline, SIGGRAPH 1987) by rules and not by a table. On each face of the cell the
+/// This is marching cubes (Lorensen and Cline, SIGGRAPH 1987) by rules instead of a table. On each face of the cell the
 /// crossings are connected so that occupied corners are never separated. The neighbouring cell uses the same rule, so
 /// surfaces have no holes and thin shells do not tear. A fan of triangles fills each loop. Its apex is chosen so that
 /// no inner edge lies on a face, where the neighbouring cell could have the same edge.

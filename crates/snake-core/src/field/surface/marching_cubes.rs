@@ -14,7 +14,7 @@ pub(super) struct Crossing {
     pub(super) fraction: f32,
 }
 
-/// Triangles counterclockwise seen from the empty side, by indices of crossings.
+/// Triangles as indices of crossings, counterclockwise seen from the empty side.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Surface {
     /// The crossings, ordered by edge.
@@ -41,7 +41,7 @@ impl Surface {
     }
 }
 
-/// The index of the crossing of a crossed edge.
+/// The index of the crossing on a crossed edge.
 pub(super) fn vertex(crossings: &[Crossing], edge: u32) -> u32 {
     crossings.partition_point(|crossing| crossing.edge < edge) as u32
 }
@@ -62,7 +62,7 @@ fn crossings(samples: &Samples, block: usize) -> Vec<Crossing> {
     crossings
 }
 
-/// The case of the cell above a sample: the bits of its occupied corners.
+/// The case of the cell whose lowest corner is a sample: the bits of its occupied corners.
 fn case(samples: &Samples, low: Sample) -> usize {
     (0..8).map(|corner| usize::from(samples.occupied(place(low, corner))) << corner).sum()
 }

@@ -7,11 +7,11 @@ use crate::control::Counter;
 use crate::network::layers::TILE;
 use snake_geometry::Point;
 
-/// The distance between two looks at the occupancy, in voxels. On objects that choose, surfaces are as near with half of it, and
-/// farther with twice as much.
+/// Distance between two samples of the occupancy, in voxels. On the objects used for tuning, half of it gives equally accurate
+/// surfaces, and twice as much less accurate ones.
 const STEP: f32 = 0.25;
 
-/// Steps from the level to the middle at most: a shell of four voxels.
+/// Maximum number of steps from the level to the middle, enough for a shell of four voxels.
 const MAX_STEPS: usize = 8;
 
 /// Moves each vertex of a shell against its normal to the first maximum of `value`.
@@ -43,8 +43,8 @@ pub(super) fn move_to_middle(
     })
 }
 
-/// The first maximum of each of `number` functions along its steps, on the parabola through three of them; `MAX_STEPS` for a
-/// function without one.
+/// The step of the first maximum of each of `number` functions, refined by a parabola through three values. It is `MAX_STEPS`
+/// for a function without a maximum.
 fn first_maxima(number: usize, values_at: impl Fn(usize) -> Vec<f32>) -> Vec<f32> {
     let (mut before, mut last) = (vec![f32::NEG_INFINITY; number], values_at(0));
     let mut maxima: Vec<Option<f32>> = vec![None; number];
@@ -53,7 +53,7 @@ fn first_maxima(number: usize, values_at: impl Fn(usize) -> Vec<f32>) -> Vec<f32
         for (i, maximum) in maxima.iter_mut().enumerate() {
             if maximum.is_none() && next[i] < last[i] {
                 let (rise, fall) = (last[i] - before[i], last[i] - next[i]);
-                // The first of all values has none before it.
+                // The first value has no predecessor.
                 let offset = if steps == 1 { 0.0 } else { 0.5 * (rise - fall) / (rise + fall) };
                 *maximum = Some((steps - 1) as f32 + offset);
             }
@@ -77,7 +77,7 @@ mod tests {
             &|x| -x,
             &|x| x,
             &|x| -(x - 5.0_f32).abs(),
-            // Another shell, which is higher, lies behind the first.
+            // A second, higher shell lies behind the first.
             &|x| if x < 4.0 { -(x - 1.2_f32).powi(2) } else { x },
         ];
         let maxima = first_maxima(5, |steps| functions.iter().map(|f| f(steps as f32)).collect());

@@ -22,20 +22,20 @@ use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
 
 impl Field {
-    /// The surface of the cloud, or the shell around it where the occupancy equals [`MeshOptions::level`] (marching cubes;
-    /// along edges linear in the log-odds).
+    /// The surface of the cloud, or the shell around it where the occupancy equals [`MeshOptions::level`] (marching cubes,
+    /// linear in the log-odds along edges).
     ///
-    /// The occupancy is that of a surface, not of an inside. A thin wall has a shell on both sides, which lies most of a
-    /// voxel from it. With [`MeshSurface::Middle`] both sides move to the ridge of the occupancy between them. Triangles stay those
-    /// of the shell, and so do normals, but where a triangle that moved faces another way.
+    /// The occupancy describes a surface, not the inside of a body. A thin wall has a shell on both sides, almost a voxel
+    /// from it. With [`MeshSurface::Middle`] both sides move to the ridge of the occupancy between them. The triangles stay those
+    /// of the shell, and so do the normals, except where a moved triangle faces another way.
     ///
-    /// The surface is closed. The grid covers the box of the feature volume, which is the network's cube ±0.5 with its
-    /// padding. Where the box cuts the occupied region, its face closes the surface. A field without a surface gives a
-    /// mesh without triangles.
+    /// The surface is closed. The grid covers the box of the feature volume: the network's cube ±0.5 with its padding, or
+    /// the bounding box of a scene's blocks. Where the box cuts the occupied region, its face closes the surface. A field
+    /// without a surface gives a mesh without triangles.
     ///
-    /// Samples are taken only near the surface, in blocks of 4³. The mesh equals that of all samples, except for small
-    /// occupied regions that contain no sample of every fourth along each axis and no point of the cloud in their
-    /// blocks.
+    /// Samples are taken only near the surface, in blocks of 4³. The mesh equals that of all samples, except that a small
+    /// occupied region is missed if it contains no sample of every fourth along each axis and no point of the cloud lies
+    /// in its blocks.
     ///
     /// ```
     /// use snake_core::{Builtin, EncodeOptions, MeshOptions, Model};
@@ -85,7 +85,7 @@ impl<'a> Grid<'a> {
         std::array::from_fn(|axis| self.coordinates[axis][sample[axis]])
     }
 
-    /// The last sample that does not exceed a point along any axis; the first sample for a point below all.
+    /// The last sample that does not exceed a point along each axis; the first one for a point below all samples.
     fn sample_below(&self, point: Point) -> Sample {
         std::array::from_fn(|axis| {
             let above = self.coordinates[axis].partition_point(|&coordinate| coordinate <= point[axis]);
@@ -103,7 +103,7 @@ impl<'a> Grid<'a> {
     fn mesh(&self, options: &MeshOptions, likely: impl IntoIterator<Item = Sample>, control: &Control) -> Result<Mesh> {
         let value_at = |queries: &[Point]| -> Vec<f32> {
             let values = self.field.tile_values(Quantity::Occupancy, queries);
-            // A network can overflow: `max` replaces NaN by a number.
+            // A network can overflow: `max` replaces NaN by 0.
             values.iter().map(|value| log_odds(value.max(0.0))).collect()
         };
         let value =
@@ -147,8 +147,8 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// The normal of each vertex: the direction of the negative gradient, or of the adjacent triangles' normals where these oppose
-/// it, which are the faces of the box and where sides of the shell met.
+/// The normal of each vertex: the direction of the negative gradient, or the mean normal of the adjacent triangles where the two
+/// oppose each other, as on the faces of the box and where the two sides of the shell met.
 fn normals(mesh: &Mesh, gradients: &[Point]) -> Vec<[f32; 3]> {
     let mut around = vec![[0.0; 3]; mesh.vertices.len()];
     for &triangle in &mesh.triangles {

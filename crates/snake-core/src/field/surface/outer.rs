@@ -4,14 +4,14 @@ use super::marching_cubes::{Surface, vertex};
 use super::samples::Samples;
 
 impl Surface {
-    /// Keeps the parts of the surface whose empty side is connected to the border. Cavities and everything in them go.
+    /// Keeps the parts of the surface whose empty side is connected to the border. Removes cavities and their contents.
     ///
     /// Each part is a closed surface with one connected set of empty samples on one side. If the set is outside, start
     /// at the part's last crossing along x and follow empty samples along x. They end at the border, or at another part
     /// next to the same set that reaches farther along x.
     pub(super) fn retain_outer(&mut self, samples: &Samples) {
         let part = self.parts();
-        // The last edge of each part along x; edges are not ordered by x.
+        // The last crossed edge of each part along x. Edges are not ordered by x.
         let mut last: Vec<Option<(usize, u32)>> = vec![None; part.len()];
         for (crossing, &part) in self.crossings.iter().zip(&part) {
             if let (low, 0) = samples.ends(crossing.edge) {
@@ -35,7 +35,7 @@ impl Surface {
         self.retain(|vertex| outer[part[vertex as usize]]);
     }
 
-    /// For each vertex the first vertex of its connected part.
+    /// For each vertex, the first vertex of its connected part.
     fn parts(&self) -> Vec<usize> {
         fn first(of: &mut [usize], mut vertex: usize) -> usize {
             while of[vertex] != vertex {

@@ -8,14 +8,14 @@ use crate::control::{Control, Counter};
 /// Samples per axis of a block.
 const SIDE: usize = 4;
 
-/// Samples per block; the decoders process as many queries at once.
+/// Samples per block: as many as the decoders process at once.
 const VOLUME: usize = SIDE * SIDE * SIDE;
 
 /// Indices of a sample along x, y, z.
 pub(super) type Sample = [usize; 3];
 
-/// A grid of samples in blocks, some of which are known. A sample is occupied if it is known and above the level.
-/// Samples on the border are never occupied, so the border closes a surface that it cuts.
+/// A grid of samples in blocks, of which only some are known. A sample is occupied if it is known and above the level.
+/// Samples on the border are never occupied, so the surface is closed at the border.
 pub(super) struct Samples {
     /// Samples per axis of the grid.
     pub(super) resolution: usize,
@@ -27,13 +27,13 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Evaluates `value` near the surface. It starts with one sample in each block. Next are all samples of the blocks
-    /// whose first sample is above the level and of the blocks with a `likely` sample. More blocks follow as long as an
-    /// occupied sample has an unknown neighbour.
+    /// Evaluates `value` near the surface: first at one sample of each block, then at all samples of the blocks whose
+    /// first sample is above the level, and of the blocks with a `likely` sample. More blocks follow while an occupied
+    /// sample has an unknown neighbour.
     ///
-    /// A connected set of samples above the level (also diagonally) is thereby known completely, with all its
-    /// neighbours. A set is missed only if it contains neither one of the first samples nor a sample of a likely block.
-    /// Nothing is missed if every block is likely.
+    /// A set of samples above the level that touch, also diagonally, is then completely known, with all its neighbours.
+    /// A set is missed only if it contains neither one of the first samples nor a sample of a likely block. Nothing is
+    /// missed if every block is likely.
     pub(super) fn near_surface(
         resolution: usize,
         level: f32,

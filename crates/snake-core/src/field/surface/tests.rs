@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 
-/// All samples of a function, or those that are found without a hint.
+/// All samples of a function, or only those that are found without `likely` samples.
 fn samples(resolution: usize, all: bool, value: impl Fn(Sample) -> f32 + Sync) -> Samples {
     let likely = every_sample(resolution).filter(|_| all);
     Samples::near_surface(
@@ -26,7 +26,7 @@ fn every_sample(resolution: usize) -> impl Iterator<Item = Sample> {
     (0..number).map(move |i| [i % columns, i / columns % columns, i / (columns * columns)])
 }
 
-/// A mesh whose unit is the distance of two samples.
+/// A mesh whose unit is the distance between two samples.
 fn mesh(samples: &Samples, surface: &Surface) -> Mesh {
     let vertex = |crossing: &Crossing| {
         let (low, axis) = samples.ends(crossing.edge);
@@ -38,7 +38,7 @@ fn mesh(samples: &Samples, surface: &Surface) -> Mesh {
     Mesh { vertices, triangles: surface.triangles.clone(), ..Mesh::default() }
 }
 
-/// By the divergence theorem.
+/// The volume by the divergence theorem.
 fn volume(mesh: &Mesh) -> f64 {
     let of = |&triangle: &[u32; 3]| {
         let corner = mesh.vertices[triangle[0] as usize].map(f64::from);
@@ -47,7 +47,7 @@ fn volume(mesh: &Mesh) -> f64 {
     mesh.triangles.iter().map(of).sum()
 }
 
-/// Vertices minus edges plus triangles; fails unless each edge is that of two triangles, in opposite directions.
+/// Vertices minus edges plus triangles; fails unless each edge belongs to two triangles, in opposite directions.
 fn euler_characteristic(mesh: &Mesh) -> i64 {
     let mut directed: HashMap<(u32, u32), usize> = HashMap::new();
     for &[a, b, c] in &mesh.triangles {
@@ -66,7 +66,7 @@ fn distance(sample: Sample, from: [f32; 3]) -> f32 {
     (0..3).map(|axis| (sample[axis] as f32 - from[axis]).powi(2)).sum::<f32>().sqrt()
 }
 
-/// Positive between two radii around a point.
+/// Positive between the two radii around the centre.
 fn shell(sample: Sample, center: [f32; 3], radii: [f32; 2]) -> f32 {
     let distance = distance(sample, center);
     (distance - radii[0]).min(radii[1] - distance)
@@ -149,7 +149,7 @@ fn the_outer_surface_is_without_cavities_and_what_is_in_them() {
     near(area(&nested, true), 17.0_f64.powi(2) + 16.0, 2);
     let open = |sample: Sample| shell(sample, [20.0; 3], [15.0, 17.0]).min(30.3 - sample[2] as f32);
     assert_eq!(area(&open, false), area(&open, true));
-    // The island's last way along x ends at another part that is outer.
+    // From the island's last crossing along x, empty samples lead to another outer part.
     let before =
         |sample| shell(sample, [30.0, 24.0, 24.0], [-1.0, 6.0]).max(shell(sample, [8.0, 24.0, 24.0], [3.0, 5.0]));
     near(area(&before, true), 36.0 + 25.0, 2);
@@ -170,7 +170,7 @@ fn samples_near_the_surface_give_the_surface_of_all_samples() {
             assert!(!Surface::of(&all).triangles.is_empty());
         }
     }
-    // A speck in a block whose sample misses it: found if the block is likely.
+    // A speck in a block whose first sample misses it is found if the block is likely.
     let speck = |sample| if sample == [9, 9, 9] { 1.0 } else { -1.0 };
     assert!(samples(32, false, speck).known().is_empty());
     let likely = Samples::near_surface(
@@ -194,7 +194,7 @@ fn the_border_closes_what_it_cuts() {
         [along.clone().fold(f32::INFINITY, f32::min), along.fold(f32::NEG_INFINITY, f32::max)]
     };
     assert_eq!([0, 1, 2].map(ends), [[0.0, 9.25], [0.0, 17.0], [0.0, 17.0]]);
-    // A box of 9.25 × 17 × 17, of which the edges on the border are cut off.
+    // A box of 9.25 × 17 × 17 whose edges on the border are cut off.
     assert!((0.96..1.0).contains(&(volume(&mesh) / (9.25 * 17.0 * 17.0))), "{}", volume(&mesh));
 }
 
@@ -204,7 +204,7 @@ fn the_middle_of_the_shell_lies_nearer_to_the_surface_than_the_level() {
     let mesh = |surface| field.mesh(&MeshOptions { resolution: 64, surface, ..Default::default() }).unwrap();
     let (level, middle) = (mesh(MeshSurface::Level), mesh(MeshSurface::Middle));
     assert_eq!(level.triangles, middle.triangles);
-    // No normal opposes the triangles at its vertex, whose mean is weighted by area.
+    // No normal opposes the area-weighted mean normal of the triangles at its vertex.
     let mut around = vec![[0.0; 3]; middle.vertices.len()];
     for &triangle in &middle.triangles {
         let cross = middle.area_vector(triangle);
@@ -236,7 +236,7 @@ fn an_open_shell_says_that_its_inner_side_is_left() {
     assert_eq!(hint(&closed), None);
     let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample) }).unwrap();
     assert!(text.starts_with("`outer` removed 0 of ") && text.contains("the shell is open"), "{text}");
-    // A small bubble in the wall is no inner side.
+    // A small bubble in the wall does not count as an inner side.
     let bubble = |sample: Sample| shell(sample, [19.5, 19.5, 6.0], [0.9, 40.0]);
     let text = hint(&|sample| if sample[2] > 28 { -1.0 } else { closed(sample).min(bubble(sample)) }).unwrap();
     assert!(text.contains("the shell is open"), "{text}");

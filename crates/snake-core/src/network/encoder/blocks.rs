@@ -1,4 +1,4 @@
-//! The encoder to blocks: PointNet within cells, scattering to the nodes, U-Net on blocks.
+//! The encoder of a scene: PointNet within cells, scattering to the nodes, U-Net on blocks.
 
 use snake_kernels::BLOCK_VOXELS;
 
@@ -20,7 +20,7 @@ use snake_geometry::Point;
 pub(crate) struct BlockEncoder {
     pub(crate) points: PointNet,
     unet: BlockUnet,
-    /// A node with less mass than this counts its features less.
+    /// A node's sum of features is divided by its mass, but at least by this.
     scatter_mass: f32,
 }
 
@@ -38,7 +38,7 @@ impl BlockEncoder {
         self.encode_also(points, &[], memory, counter)
     }
 
-    /// [`BlockEncoder::encode`] with blocks also about more cells, which hold no points.
+    /// [`BlockEncoder::encode`] with additional blocks around the cells `more`, which add no points.
     pub(super) fn encode_also(
         &self,
         points: &[Point],
@@ -85,7 +85,7 @@ impl BlockEncoder {
         Ok(groups.fill_sparse(points))
     }
 
-    /// Writes the input of the U-Net: the filled blocks, with the missing block 0.
+    /// Writes the input of the U-Net: block 0, which stands for missing blocks, and the filled blocks.
     fn write_nodes(&self, level: &Level, cells: &[[i32; 3]], sums: &[f32], nodes: &mut [f32]) {
         let channels = self.points.channels();
         let (missing, nodes) = nodes.split_at_mut(BLOCK_VOXELS * channels);
@@ -94,14 +94,14 @@ impl BlockEncoder {
     }
 }
 
-/// The finest level over cells. A volume that would need too much memory is refused, with a voxel size that fits.
+/// The finest level for cells. Refuses a volume that needs too much memory; the error names a voxel size that fits.
 fn finest_level(cells: impl Iterator<Item = [i32; 3]> + Clone, channels: usize) -> Result<FinestLevel> {
     let max = check::max_blocks(channels);
     if let Some(level) = FinestLevel::new(cells.clone(), max) {
         return Ok(level);
     }
     let fits = |halvings: &u32| FinestLevel::new(cells.clone().map(|cell| cell.map(|i| i >> halvings)), max).is_some();
-    // All cells lie within 2^20 nodes of zero, and are few after as many halvings.
+    // All cells lie within 2^20 nodes of zero, so after 20 halvings few are left.
     let factor = 1 << (1..20).find(fits).unwrap_or(20);
     let value =
         format!("so small that more than {max} blocks of 4 x 4 x 4 voxels are needed; {factor} times this size fits");

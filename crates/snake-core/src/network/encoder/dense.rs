@@ -1,4 +1,4 @@
-//! The encoder to a cube: voxels from points, then a dense U-Net.
+//! The encoder of a cube: voxels from points, then a dense U-Net.
 
 use rayon::prelude::*;
 
@@ -36,13 +36,13 @@ impl DenseEncoder {
         })
     }
 
-    /// The progress units of [`DenseEncoder::encode`]: each point once for grouping and once per layer of the point encoder,
-    /// and the voxels of the U-Net. All take similar times.
+    /// The progress units of [`DenseEncoder::encode`]: each point once for grouping, once per block of the point encoder and
+    /// once for its last layer, and the voxels of the U-Net. All units take similar times.
     pub(crate) fn work(&self, num_points: usize) -> usize {
         num_points + self.points.work(num_points) + self.unet.work(self.frame.size())
     }
 
-    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
+    /// Encodes `num_points` points to the feature volume. `point` returns them in the network's frame.
     pub(crate) fn encode(
         &self,
         num_points: usize,
@@ -75,7 +75,7 @@ impl DenseEncoder {
         }
     }
 
-    /// Scatters the mean features to the occupied voxels; voxels without points are zero.
+    /// Writes the mean features to the occupied voxels; voxels without points are zero.
     pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
         let (size, channels) = (self.frame.size(), self.points.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
@@ -85,7 +85,7 @@ impl DenseEncoder {
         Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
     }
 
-    /// Scatters the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
+    /// Adds the features of the points to their eight nearest voxels ([`Scatter::Soft`]); voxels without mass are zero.
     fn scatter_soft(
         &self,
         EncoderMemory { groups, sums: slots }: &mut EncoderMemory,
@@ -119,7 +119,7 @@ fn write_rows(rows: &[f32], groups: &VoxelGroups, channels: usize, volume: &mut 
     }
 }
 
-/// Aggregates given features in a zeroed volume `[z][y][x][channel]`. `feature` returns a grouped point with its feature.
+/// Aggregates given features into a zeroed volume `[z][y][x][channel]`. `feature` returns a grouped point with its feature.
 pub(crate) fn aggregated<'a>(
     scatter: Scatter,
     frame: &VolumeFrame,

@@ -24,7 +24,7 @@ use crate::network::volume::Volume;
 use crate::network::weights::Scope;
 use snake_geometry::Point;
 
-/// The memory for the points of a cloud, in voxels of a cube or cells of a scene, which the next cloud uses again.
+/// The memory for the points of a cloud, grouped by voxels of a cube or cells of a scene. The next cloud reuses it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct EncoderMemory {
     pub(crate) groups: VoxelGroups,
@@ -49,7 +49,7 @@ impl Encoder {
         })
     }
 
-    /// The progress units of [`Encoder::encode`] for a number of points; 0 if they follow from the points, when it sets them itself.
+    /// The progress units of [`Encoder::encode`] for a number of points; 0 for a scene model, whose encoder sets the total itself.
     pub(crate) fn work(&self, num_points: usize) -> usize {
         match self {
             Self::Dense(encoder) => encoder.work(num_points),
@@ -57,7 +57,7 @@ impl Encoder {
         }
     }
 
-    /// Encodes `num_points` points, given by `point` in the network's frame, to the feature volume.
+    /// Encodes `num_points` points to the feature volume. `point` returns them in the network's frame.
     pub(crate) fn encode(
         &self,
         num_points: usize,

@@ -1,7 +1,7 @@
-//! PointNet with local pooling: between blocks each point also receives the maximum over the points of its voxel.
+//! PointNet with local pooling: between blocks, each point also receives the maximum over the points of its voxel.
 //!
 //! Voxels are independent of each other. The network therefore processes a few voxels at a time through all blocks and
-//! stores only their mean features, so memory does not grow with the number of points.
+//! stores only the sums of their features, so memory does not grow with the number of points.
 
 use rayon::prelude::*;
 
@@ -15,10 +15,10 @@ use crate::network::weights::Scope;
 use snake_geometry::Point;
 use snake_kernels::{Epilogue, SimdLevel, max_rows};
 
-/// Points of the voxels in one task: their features fit the second-level cache.
+/// Points in the voxels of one task: their features fit the second-level cache.
 const CHUNK: usize = 2048;
 
-/// The number of points in a voxel above which features are not stored between blocks but computed again.
+/// If a voxel has more points than this, their features are recomputed after each block instead of stored.
 const LARGE: usize = 16 * CHUNK;
 
 /// The point encoder before scattering.
@@ -53,7 +53,7 @@ impl PointNet {
         self.fc_c.outputs()
     }
 
-    /// Adds the points, given by `point` in the network's frame, to the sums of their voxels.
+    /// Adds the features of the points to the sums of their voxels. `point` returns a point in the network's frame.
     pub(super) fn add_to_voxels(
         &self,
         groups: &VoxelGroups,
@@ -76,7 +76,7 @@ impl PointNet {
         })
     }
 
-    /// Computes the sums of voxels whose points are consecutive, with `sizes` points each.
+    /// Computes the sums of voxels from points that are ordered by voxel; voxel `i` has `sizes[i]` points.
     fn chunk_sums(
         &self,
         points: &[Point],
@@ -108,8 +108,8 @@ impl PointNet {
         }
     }
 
-    /// The sums of one voxel. After each pooling all earlier blocks run again, so that only a part of the features is in
-    /// memory.
+    /// The sums of one voxel. After each pooling, all earlier blocks run again, so only a part of the features is in
+    /// memory at a time.
     fn large_voxel_sums(
         &self,
         points: &[Point],
@@ -151,8 +151,8 @@ impl PointNet {
         Ok(())
     }
 
-    /// The features `(points, hidden)` of a tile of points in one voxel, after the first block and one block for each of
-    /// the terms of that voxel.
+    /// The features `(points, hidden)` of a tile of points in one voxel, after the first block and one more block for
+    /// each element of `terms`, the terms of that voxel.
     fn features_after(&self, terms: &[VoxelTerms], points: &[Point]) -> Vec<f32> {
         let mut features = vec![0.0; points.len() * self.hidden];
         self.first.forward(points, &mut features);
@@ -172,7 +172,7 @@ mod tests {
     use crate::lattice::VolumeFrame;
     use crate::{Builtin, Model};
 
-    /// Combines each row of `features` with the row `target` of `pooled`, in order.
+    /// Combines each row of `features` with row `target` of `pooled`, in order.
     fn pool(features: &[f32], width: usize, target: &[usize], pooled: &mut [f32], combine: impl Fn(f32, f32) -> f32) {
         for (feature, &target) in features.chunks_exact(width).zip(target) {
             for (pooled, &value) in pooled[target * width..].iter_mut().zip(feature) {
@@ -214,7 +214,7 @@ mod tests {
         let model = Model::builtin(Builtin::Compact);
         let (encoder, frame) = (&model.network().encoder.dense().points, model.config().frame().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(1);
-        // Clusters in a few voxels, as in a scan with an outlier, and points all over the volume.
+        // Clusters in a few voxels, as in a scan with an outlier, and points spread over the whole volume.
         for (crowd, others) in
             [(0, 1), (0, 700), (1, 63), (65, 64), (CHUNK, 3000), (LARGE, 500), (LARGE + 1, 7), (2 * LARGE + 99, 0)]
         {

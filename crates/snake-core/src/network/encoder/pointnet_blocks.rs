@@ -1,7 +1,7 @@
-//! The residual blocks of PointNet: `shortcut(x) + fc_1(relu(fc_0(relu(x))))`, without the arithmetic that repeats.
+//! The residual blocks of PointNet, `shortcut(x) + fc_1(relu(fc_0(relu(x))))`, without repeated arithmetic.
 //!
-//! The input of every block but the first is a point's feature and the maximum over its voxel. The layers' part of the
-//! maximum is the same for all points of a voxel, so it is computed once for the voxel. The first block's input is a linear
+//! The input of every block but the first is a point's feature and the maximum over its voxel. The maximum's contribution
+//! to a layer is the same for all points of a voxel, so it is computed once per voxel. The first block's input is a linear
 //! function of the position, and so is its shortcut.
 
 use crate::Result;
@@ -16,7 +16,7 @@ pub(super) struct FirstBlock {
     fc_pos: Linear,
     fc_0: Linear,
     fc_1: Linear,
-    /// The shortcut after `fc_pos`, as one layer.
+    /// The product of `fc_pos` and the shortcut, as one layer.
     shortcut: Linear,
 }
 
@@ -52,7 +52,7 @@ impl FirstBlock {
     }
 }
 
-/// A layer of a point's feature and of the maximum over its voxel, as two layers whose outputs are added.
+/// A layer whose input is a point's feature and the maximum over its voxel, as two layers whose outputs are added.
 #[derive(Debug)]
 struct SplitLinear {
     point: Linear,
@@ -72,7 +72,7 @@ impl SplitLinear {
     }
 }
 
-/// A block after the pooling over voxels.
+/// A block whose input is pooled over voxels.
 #[derive(Debug)]
 pub(super) struct PooledBlock {
     hidden: usize,
@@ -81,7 +81,7 @@ pub(super) struct PooledBlock {
     shortcut: SplitLinear,
 }
 
-/// The terms of the voxels' maxima in `fc_0` and in the shortcut of their points, each `(voxels, hidden)`.
+/// What the maximum of each voxel contributes to `fc_0` and to the shortcut of its points, each `(voxels, hidden)`.
 pub(super) struct VoxelTerms {
     fc_0: Vec<f32>,
     shortcut: Vec<f32>,

@@ -9,7 +9,7 @@ use snake_kernels::{BLOCK_VOXELS, Corners, SimdLevel, add_weighted};
 use crate::lattice::BlockGrid;
 use snake_geometry::Point;
 
-/// Number of values of a cell's slots, one for each corner: sums of `channels` features and a mass.
+/// Number of values in a cell's eight slots, one for each corner: sums of `channels` features and a mass.
 pub(super) fn slots_width(channels: usize) -> usize {
     8 * (channels + 1)
 }
@@ -30,8 +30,8 @@ pub(super) fn gather(
     channels: usize,
     nodes: &mut [f32],
 ) {
-    // One more than the row of each cell with points, at its lowest node. Cells lie in these blocks, and neighbours of higher
-    // numbers hold none.
+    // The row of each cell with points, plus one, stored at the cell's lowest node. These blocks contain all such cells, so
+    // neighbours with higher numbers have none.
     let mut rows = vec![0_u32; (grid.len() + 1) * BLOCK_VOXELS];
     (1..).zip(cells).for_each(|(row, &cell)| rows[grid.node(cell) as usize] = row);
     let slot = |row: u32, corner: usize| &slots[((row as usize - 1) * 8 + corner) * (channels + 1)..][..channels + 1];
@@ -53,7 +53,7 @@ pub(super) fn gather(
     });
 }
 
-/// The index of the cell that has a node of a block at this corner.
+/// The index of the cell whose corner `corner` is the node `voxel` of a block.
 fn cell_at_corner(neighbors: &[u32; 27], voxel: usize, corner: usize) -> usize {
     let (mut block, mut within) = (0, 0);
     for (axis, stride) in [1, 4, 16].into_iter().enumerate() {

@@ -2,12 +2,12 @@
 //!
 //! The weights w are those of trilinear interpolation at the point. A voxel of mass m = Σ w holds
 //! Σ w · feature / max(m, typical mass), where the typical mass is the mean over the cloud's voxels with mass. This is a
-//! weighted mean where points are many, and less where they only touch the voxel's border. The volume therefore changes
-//! smoothly as the cloud moves through the voxels.
+//! weighted mean where points are dense, and smaller where they only touch the voxel's border. The volume therefore
+//! changes smoothly as the cloud moves through the voxels.
 //!
 //! The points of one voxel contribute to it and its neighbours: 27 slots of feature and mass. Slots are first summed over
-//! a voxel's points. Then each voxel adds the slots of its neighbours that reach it. Memory does not grow with the number
-//! of points, and the bits do not depend on the number of threads.
+//! a voxel's points. Then each voxel adds the slots of the voxels around it that contribute to it. Memory does not grow
+//! with the number of points, and the bits do not depend on the number of threads.
 
 use rayon::prelude::*;
 
@@ -18,13 +18,13 @@ use crate::lattice::VoxelGroups;
 use snake_geometry::Point;
 use snake_kernels::{Corners, SimdLevel, add_weighted};
 
-/// Number of voxels that the points of one voxel contribute to: itself and its neighbours, x fastest.
+/// Number of voxels to which the points of one voxel contribute: itself and its neighbours, x fastest.
 const SLOTS: usize = 27;
 
-/// The slots of a query's corners from the first on, in the order of [`Corners`].
+/// Offsets of the slots of a point's eight corners from its first slot, in the order of [`Corners`].
 const CORNER_SLOTS: [usize; 8] = [0, 1, 3, 4, 9, 10, 12, 13];
 
-/// Number of values of a voxel's slots, each of `channels` feature sums and a mass.
+/// Number of values in a voxel's slots. Each slot has `channels` sums of features and a mass.
 pub(super) fn slots_width(channels: usize) -> usize {
     SLOTS * (channels + 1)
 }
@@ -42,8 +42,8 @@ pub(super) fn spread(frame: &VolumeFrame, point: Point, feature: &[f32], slots: 
     add_weighted(SimdLevel::current(), feature, &weights, &CORNER_SLOTS.map(|slot| first + slot), slots);
 }
 
-/// Writes the volume `[z][y][x][channel]` of the slots `(voxels, slots_width)` of the occupied voxels into zeroed values.
-/// Returns the voxels with mass, ascending.
+/// Computes the volume `[z][y][x][channel]` from the slots `(voxels, slots_width)` of the occupied voxels, into zeroed
+/// values. Returns the voxels with mass, ascending.
 pub(super) fn gather(
     frame: &VolumeFrame,
     groups: &VoxelGroups,
@@ -53,7 +53,7 @@ pub(super) fn gather(
 ) -> Result<Vec<usize>> {
     let num_voxels: usize = frame.resolution.iter().product();
     let channels = values.len() / num_voxels;
-    // One more than the row of each occupied voxel, in a volume with a border of one empty voxel on each side.
+    // The row of each occupied voxel, plus one, in a volume with a border of one empty voxel on each side.
     let [width, height, depth] = frame.resolution;
     let (pitch, plane_pitch) = (width + 2, (width + 2) * (height + 2));
     let mut rows = vec![0_u32; plane_pitch * (depth + 2)];
@@ -62,10 +62,10 @@ pub(super) fn gather(
         x + pitch * y + plane_pitch * z
     };
     (1..).zip(groups.voxels()).for_each(|(row, voxel)| rows[corner(voxel) + 1 + pitch + plane_pitch] = row);
-    // From the corner of a voxel's neighbourhood to the voxel whose points reach it by each slot.
+    // For each slot, the step from the corner of a voxel's neighbourhood to the voxel that contributes through this slot.
     let steps: [usize; SLOTS] =
         std::array::from_fn(|slot| (2 - slot % 3) + pitch * (2 - slot / 3 % 3) + plane_pitch * (2 - slot / 9));
-    // The slots that reach a voxel, in a fixed order.
+    // The slots that contribute to a voxel, in a fixed order.
     let reaching = |voxel: usize| {
         let neighbors = &rows[corner(voxel)..];
         steps.iter().enumerate().filter(|&(_, &step)| neighbors[step] > 0).map(|(slot, &step)| {

@@ -41,7 +41,7 @@ fn encode(points: &[Point], voxel_size: f64) -> Field {
 fn volume_and_fields_equal_pytorch() {
     let bytes = std::fs::read(folder().join("io.safetensors")).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
-    // The lattice of PyTorch begins at the origin.
+    // PyTorch's lattice begins at the origin.
     let lattice = Normalization { center: [0.0; 3], scale: 0.1 };
     let network = model().network().clone();
     let field = Field::normalized(network, points(&file, "points"), lattice, &Control::default()).unwrap();
@@ -49,14 +49,14 @@ fn volume_and_fields_equal_pytorch() {
     let Lattice::Blocks(grid, _) = &volume.lattice else { panic!("a scene") };
     let occupied: HashSet<[i32; 3]> = nodes(&file, "scatter_nodes").into_iter().collect();
     let expected = floats(&file, "volume_values");
-    // Farther out, blocks are missing that the last convolutions would read.
+    // Only nodes beside occupied ones are exact: farther out, the last convolutions lack blocks.
     let is_exact = |node: [i32; 3]| {
         let steps = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
         steps.clone().any(|step| occupied.contains(&std::array::from_fn(|axis| node[axis] + step[axis])))
     };
     for (node, expected) in nodes(&file, "volume_nodes").into_iter().zip(expected.chunks(volume.channels)) {
         let features = &volume.values[grid.node(node) as usize * volume.channels..][..volume.channels];
-        // Fourteen layers of float32 sums in another order, of values up to 10.
+        // Fourteen layers sum in float32 in another order; values are up to 10.
         let is_close = features.iter().zip(expected).all(|(f, e)| (f - e).abs() < 3e-4);
         assert!(is_close || !is_exact(node), "{node:?} {features:?} {expected:?}");
     }
@@ -103,7 +103,7 @@ fn a_scene_moved_by_any_part_of_a_voxel_has_the_same_keypoints() {
     let voxel = 0.125;
     let here = detected(&room(), voxel);
     assert!(here.len() > 20);
-    // Steps in which no coordinate is rounded.
+    // Steps by which no coordinate is rounded.
     for step in [[128, 0, 0], [64, 64, 64], [40, -79, 15], [-2048, 4096 + 51, 1]] {
         let step: Point = step.map(|i| i as f32 / 1024.0);
         let moved = |p: Point| std::array::from_fn(|axis| p[axis] + step[axis]);

@@ -1,4 +1,4 @@
-//! The U-Net on blocks. It has the shape of the dense one, with a bias in each convolution instead of a normalisation.
+//! The U-Net on blocks. It has the shape of the dense one, but its convolutions have a bias instead of a normalisation.
 
 use std::ops::Range;
 
@@ -18,9 +18,9 @@ use crate::network::weights::Scope;
 /// Convolution with a bias, then ReLU.
 #[derive(Debug)]
 struct BlockConv {
-    /// The weights of each input.
+    /// The weights for each input.
     parts: Vec<PackedConv3d>,
-    /// The bias, with the part that the constant of the input adds to each output.
+    /// The bias plus the contribution of the input's constant, because values are stored as differences from it.
     bias: Vec<f32>,
     /// The output far from all points.
     constant: Vec<f32>,
@@ -49,8 +49,8 @@ impl BlockConv {
         self.bias.len()
     }
 
-    /// Adds the sums of one input for as many blocks as `values` holds, block 0 included; the first input begins them. The last
-    /// one ends them: values are then differences from the layer's constant.
+    /// Adds the convolution of input number `part` for as many blocks as `values` holds, block 0 included. The first input
+    /// overwrites the values. After the last one, the values are differences between the activations and the layer's constant.
     fn forward(&self, part: usize, source: BlockSource, values: &mut [f32], counter: &Counter) -> Result<()> {
         let (missing, stored) = values.split_at_mut(BLOCK_VOXELS * self.outputs());
         missing.fill(0.0);
@@ -79,23 +79,23 @@ pub(super) struct BlockUnet {
 /// The numbers of values of one level.
 struct Lengths {
     input: usize,
-    /// Between the convolutions of the encoder.
+    /// Between the two convolutions of the encoder.
     middle: usize,
     /// The output of the encoder.
     skip: usize,
-    /// Between the convolutions of the decoder; 0 on the coarsest level.
+    /// Between the two convolutions of the decoder; 0 on the coarsest level.
     decoded: usize,
     result: usize,
 }
 
-/// Where the values of one level lie in the memory. A level has a window of it: the input, the encoder's output and the result
-/// lie at one end, what is between convolutions at the other. The window of the next level leaves the decoder's sums out, and
-/// its input lies beside them.
+/// Where the values of one level lie in the memory. Each level has a window of it. The input, the encoder's output and the
+/// result lie at one end of the window, and values between convolutions at the other. The next level's window excludes the
+/// decoder's sums, and its input lies beside them.
 struct Places {
     input: Range<usize>,
     middle: Range<usize>,
     skip: Range<usize>,
-    /// The decoder's sums: of the encoder's output while the coarser levels are made, then of both.
+    /// The decoder's sums: first over the encoder's output only, later also over the upsampled coarser level.
     sums: Range<usize>,
     result: Range<usize>,
 }
@@ -146,14 +146,14 @@ impl BlockUnet {
         self.encoders.len()
     }
 
-    /// The progress units of [`BlockUnet::forward`]: the nodes that each pair of convolutions makes.
+    /// The progress units of [`BlockUnet::forward`]: the nodes of each level for each pair of convolutions.
     pub(super) fn work(&self, levels: &[Level]) -> usize {
         let nodes = |level: &Level| level.grid.len() * BLOCK_VOXELS;
         levels.iter().map(nodes).sum::<usize>() + levels[..levels.len() - 1].iter().map(nodes).sum::<usize>()
     }
 
-    /// The memory of levels. It ends with the nodes of the filled blocks, block 0 included, and has room for `also` values before
-    /// them.
+    /// The memory for all levels. The nodes of the filled blocks, block 0 included, are at its end, and at least `also` values
+    /// fit before them.
     pub(super) fn memory(&self, levels: &[Level], also: usize) -> Buffer {
         let Lengths { input, result, .. } = self.lengths(levels, 0);
         let output = num_values(levels[0].near.len(), self.final_conv.outputs());
@@ -175,12 +175,12 @@ impl BlockUnet {
         }
     }
 
-    /// The channels of the input of a level.
+    /// The number of channels of a level's input.
     fn inputs(&self, number: usize) -> usize {
         if number == 0 { self.final_conv.outputs() } else { self.channels[number - 1] }
     }
 
-    /// The values that a level and all coarser ones need.
+    /// The number of values that a level and all coarser ones need.
     fn needs(&self, levels: &[Level], number: usize) -> usize {
         let Lengths { input, middle, skip, decoded, result } = self.lengths(levels, number);
         let encoder = middle + input.max(skip);
@@ -191,7 +191,7 @@ impl BlockUnet {
         encoder.max(skip + pooled + decoded).max(decoded + self.needs(levels, number + 1)).max(decoded + result)
     }
 
-    /// The places of all levels in a memory of so many values, with which the input of the finest level ends.
+    /// The places of all levels in a memory of `num_values` values. The input of the finest level is at its end.
     fn places(&self, levels: &[Level], num_values: usize) -> Vec<Places> {
         let (mut window, mut is_at_start) = (0..num_values, false);
         let mut places = Vec::new();
@@ -216,8 +216,8 @@ impl BlockUnet {
         places
     }
 
-    /// Maps nodes `[block][z][y][x][c_dim]` of the filled blocks of the finest level, with which the memory ends, to features of
-    /// the near blocks. Block 0 of the output has the features far from all points.
+    /// Maps the nodes `[block][z][y][x][c_dim]` of the finest level's filled blocks, which are at the end of the memory, to
+    /// features of the near blocks. Block 0 of the output has the features far from all points.
     pub(super) fn forward(&self, levels: &[Level], mut memory: Buffer, counter: &Counter) -> Result<Buffer> {
         let places = self.places(levels, memory.len());
         for (number, place) in places.iter().enumerate() {
@@ -259,12 +259,12 @@ impl BlockUnet {
     }
 }
 
-/// Values of a level as the source of a convolution of the same level.
+/// Values of a level as the source of a convolution on the same level.
 fn own<'a>(level: &'a Level, values: &'a [f32], channels: usize) -> BlockSource<'a> {
     BlockSource { values, channels, neighbors: &level.neighbors, halves: None }
 }
 
-/// The number of values of a number of blocks and block 0.
+/// The number of values of `num_blocks` blocks and block 0.
 fn num_values(num_blocks: usize, channels: usize) -> usize {
     (num_blocks + 1) * BLOCK_VOXELS * channels
 }

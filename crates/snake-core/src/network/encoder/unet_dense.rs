@@ -42,7 +42,7 @@ impl UNet3d {
         let decoder = |k: usize| {
             let level = config.unet_levels - 2 - k;
             let outputs = channels[level];
-            // Where the coarser size is exactly half, the convolution upsamples while it reads.
+            // If the coarser size is exactly half, the convolution upsamples while it reads.
             let sources: &[_] =
                 if doubles(level) { &[(outputs, false), (2 * outputs, true)] } else { &[(3 * outputs, false)] };
             double(format!("decoders.{k}"), level, sources, outputs, outputs)
@@ -72,7 +72,7 @@ impl UNet3d {
         Ok(made.pointwise(&self.final_conv, &self.pool))
     }
 
-    /// One level of the U-Net and all coarser ones. The decoders come from the coarsest to this level's.
+    /// One level of the U-Net and all coarser ones. `decoders` runs from the coarsest level to this one.
     fn level(
         &self,
         encoder: &DoubleConv,

@@ -7,7 +7,7 @@ use crate::lattice::VoxelGroups;
 use snake_geometry::Point;
 
 impl PointNet {
-    /// Replaces `means` by the mean feature of each occupied voxel, `(voxels, c_dim)`; `point` returns the grouped points in
+    /// Replaces `means` by the mean feature of each occupied voxel, `(voxels, c_dim)`. `point` returns a grouped point in
     /// the network's frame.
     pub(crate) fn voxel_means(
         &self,
@@ -22,7 +22,7 @@ impl PointNet {
     }
 
     /// Replaces `sums` by the sums over the points of each occupied voxel, `(voxels, width)`. `add` adds one point with its
-    /// feature `(c_dim)` to the sums of its voxel; the points come in the order of the cloud.
+    /// feature `(c_dim)` to the sums of its voxel; points come in the order of the cloud.
     pub(crate) fn voxel_sums(
         &self,
         groups: &VoxelGroups,
@@ -43,7 +43,7 @@ pub(super) fn add(_: Point, feature: &[f32], sums: &mut [f32]) {
     sums.iter_mut().zip(feature).for_each(|(sum, value)| *sum += value);
 }
 
-/// Makes means of the sums `(voxels, channels)` over the points of each occupied voxel.
+/// Divides the sums `(voxels, channels)` by the number of points of each occupied voxel.
 pub(super) fn divide_by_counts(sums: &mut [f32], groups: &VoxelGroups, channels: usize) {
     for (voxel, mean) in sums.chunks_exact_mut(channels).enumerate() {
         let size = groups.num_points(voxel..voxel + 1);
