@@ -8,7 +8,7 @@ use snake_core::{Error, Result};
 use snake_geometry::{Point, RigidTransform, Vector, check_pairs, vector};
 
 /// The least-squares rigid transform `t_target_source` from `source` `(N, 3)` to `target` `(N, 3)`,
-/// row i to row i.
+/// where row i corresponds to row i.
 ///
 /// It minimises `Σ |R source_i + t - target_i|²` (Kabsch 1976). It is always a rotation, even where
 /// a reflection would fit better.
@@ -32,16 +32,16 @@ pub fn kabsch(source: &[Point], target: &[Point]) -> Result<RigidTransform> {
     best_fit(pairs).map(RigidTransform::from).ok_or_else(|| Error::Input { what: "source", reason: reason() })
 }
 
-/// Points `(N, 3)` under a transform, computed in f64.
+/// Transforms points `(N, 3)`, computed in f64.
 pub fn transform_points(transform: &RigidTransform, points: &[Point]) -> Vec<Point> {
     points.iter().map(|&point| transform.apply(point)).collect()
 }
 
-/// [`kabsch`] of pairs (source, target); `None` if the points of either are collinear.
+/// [`kabsch`] for pairs (source, target); `None` if the points of either are collinear.
 ///
-/// The rotation is the eigenvector of Horn (1987), a unit quaternion and so never a reflection.
-/// nalgebra's decomposition of 3×3 matrices squares them and loses half of the digits where three
-/// points are nearly collinear.
+/// The rotation is the eigenvector of Horn (1987), a unit quaternion and therefore never a
+/// reflection. nalgebra's decomposition of 3×3 matrices squares them, which loses half of the digits
+/// if three points are nearly collinear.
 pub(crate) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.clone().count() as f64;
     let [source_mean, target_mean] =
@@ -84,13 +84,13 @@ pub(crate) fn best_fit_about(axis: &Vector, pairs: &[(Vector, Vector)]) -> Optio
     Some(IsometryMatrix3::from_parts(Translation3::from(translation), rotation))
 }
 
-/// The axis of a rotation times its angle. That of nalgebra is NaN for half of the rotations by
-/// almost nothing, because the arc cosine of a rounded trace is.
+/// The axis of a rotation times its angle. `Rotation3::scaled_axis` is NaN for half of the rotations
+/// by almost nothing, because it takes the arc cosine of a rounded trace.
 pub(crate) fn rotation_vector(rotation: &Rotation3<f64>) -> Vector {
     UnitQuaternion::from_rotation_matrix(rotation).scaled_axis()
 }
 
-/// A vector under a transform.
+/// Transforms a vector as a position.
 pub(crate) fn moved(transform: &IsometryMatrix3<f64>, point: &Vector) -> Vector {
     transform.transform_point(&(*point).into()).coords
 }
@@ -151,7 +151,7 @@ pub(crate) mod tests {
             let (truth, offset) = (random_transform(&mut rng), if case % 3 == 0 { 1e4 } else { 0.0 });
             let mut source = random_points(&mut rng, 3 + case % 40);
             if case % 2 == 0 {
-                // On a plane a reflection fits as well as a rotation.
+                // In a plane, a reflection fits as well as a rotation.
                 source.iter_mut().for_each(|p| p[2] = 0.3 * p[0] - 0.2);
             }
             let source: Vec<Vector> = source.into_iter().map(|p| vector(p).add_scalar(offset)).collect();

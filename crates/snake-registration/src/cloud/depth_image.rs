@@ -4,28 +4,28 @@ use std::collections::HashMap;
 
 use snake_geometry::Vector;
 
-/// How a depth image is made.
+/// The resolution and the tolerances of a depth image.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sharpness {
     /// Width of a pixel in radians, for a viewpoint within the cloud.
     pixel: f64,
     /// Tangent of the greatest angle between a surface's normal and the line of sight. Within a
-    /// pixel, a surface's distance varies by up to this share of the pixel's width.
+    /// pixel, the distance of a surface varies by up to this multiple of the pixel's width.
     slant: f64,
-    /// A point also lowers the depth of pixels that are up to so many away.
+    /// A point also lowers the depth of pixels up to this many pixels away.
     reach: i32,
 }
 
-/// Quick to make, tolerant of a sensor that moved: to compare transforms.
+/// For comparing transforms: quick to make, and tolerant of a sensor that moved.
 pub(crate) const COARSE: Sharpness = Sharpness { pixel: 0.05, slant: 4.0, reach: 0 };
-/// Sees smaller violations. At an edge a pixel has the depth of the nearer surface, so that a small
-/// error of the sensor's position does not count: to judge one transform.
+/// For judging one transform: it shows smaller violations. At an edge, a pixel has the depth of the
+/// nearer surface, so a small error of the sensor's position does not count.
 pub(crate) const FINE: Sharpness = Sharpness { pixel: 0.03, slant: 2.0, reach: 1 };
 
-/// Tells the points that one sensor saw from those of several places.
+/// Distinguishes points that one sensor saw from points seen from several places.
 pub(crate) const SHARP: Sharpness = Sharpness { pixel: 0.01, slant: 2.0, reach: 0 };
 
-/// The least distance from a viewpoint to a cloud in each direction.
+/// The smallest distance from a viewpoint to a cloud in each direction.
 pub(crate) struct DepthImage {
     pub(crate) viewpoint: Vector,
     pixel: f64,
@@ -48,12 +48,12 @@ pub(crate) enum Sight {
 }
 
 impl DepthImage {
-    /// Distances are compared with a tolerance of `margin` (cloud units) and the slant of a surface
-    /// within a pixel.
+    /// Distances are compared with a tolerance: `margin` (cloud units) plus the depth range of a
+    /// slanted surface within a pixel.
     pub(crate) fn new(points: &[Vector], viewpoint: Vector, margin: f64, sharpness: Sharpness) -> Self {
         let center = points.iter().sum::<Vector>() / points.len().max(1) as f64;
         let radius = points.iter().map(|point| (point - center).norm()).fold(0.0, f64::max);
-        // From afar the cloud is small, and so are its pixels.
+        // A cloud that is seen from afar appears small, so its pixels are smaller.
         let Sharpness { pixel, slant, reach } = sharpness;
         let pixel = pixel * (radius / (center - viewpoint).norm()).clamp(1e-6, 1.0);
         let mut image = Self { viewpoint, pixel, slant, margin, depths: HashMap::new() };
@@ -82,7 +82,7 @@ impl DepthImage {
         }
     }
 
-    /// The share of the points, 0 to 1, that no surface hides.
+    /// The share of the points, 0 to 1, that lie on the first surface.
     pub(crate) fn visible_share(&self, points: &[Vector]) -> f64 {
         let visible = points.iter().filter(|point| self.sight(point) == Sight::Surface).count();
         visible as f64 / points.len().max(1) as f64
@@ -96,7 +96,7 @@ impl DepthImage {
         ((elevation / self.pixel).floor() as i32, offset.y.atan2(offset.x), depth)
     }
 
-    /// The column of an azimuth. Rows near the poles have fewer pixels, so that all have about the
+    /// The column of an azimuth. Rows near the poles have fewer pixels, so all pixels have about the
     /// same area.
     fn column(&self, row: i32, azimuth: f64) -> i32 {
         (azimuth * ((f64::from(row) + 0.5) * self.pixel).cos().abs() / self.pixel).floor() as i32
@@ -118,7 +118,7 @@ mod tests {
         let [coarse, fine] = [COARSE, FINE].map(|sharpness| DepthImage::new(&walls(), Vector::zeros(), 0.1, sharpness));
         let far = Vector::new(4.5, 1.0, 0.0);
         assert_eq!([coarse.sight(&far), fine.sight(&far)], [Sight::Surface, Sight::Free]);
-        // Behind the front wall's edge, but for a pixel.
+        // Less than a pixel beside the edge of the front wall, and behind it.
         let edge = Vector::new(3.5, 0.03, 0.02);
         assert_eq!([coarse.sight(&edge), fine.sight(&edge)], [Sight::Free, Sight::Hidden]);
         assert!(walls().iter().all(|point| fine.sight(point) != Sight::Free));

@@ -1,5 +1,5 @@
-//! What a prepared cloud offers to the steps: voxels with normals, surfaces seen from a sensor,
-//! planar patches, and pairs of points with planes.
+//! What a prepared cloud provides for the steps: voxels with normals, surfaces as a sensor saw
+//! them, planar patches, and pairs of points and planes.
 
 pub(crate) mod depth_image;
 pub(crate) mod near_grid;

@@ -1,12 +1,12 @@
-//! The nearest point within a fixed distance, by cells.
+//! Search for the nearest point within a fixed distance, on a grid of cells.
 
 use snake_geometry::Vector;
 
-/// Cells per point, at most; a cloud of greater extent gets larger cells.
+/// Maximum number of cells per point; a cloud of greater extent gets larger cells.
 const MAX_CELLS_PER_POINT: f64 = 256.0;
 
-/// Points sorted into cells at least as wide as the distance of a query, so that a query looks at
-/// 27 cells.
+/// Points sorted into cells that are at least as wide as the search distance, so that a query
+/// reads 27 cells.
 pub(crate) struct NearGrid {
     corner: Vector,
     cell: f64,
@@ -14,7 +14,7 @@ pub(crate) struct NearGrid {
     sides: [usize; 3],
     /// The first position in `order` of each cell, x fastest, and the end.
     starts: Vec<u32>,
-    /// Points by cell, each with its index.
+    /// The points ordered by cell, each with its index.
     order: Vec<(Vector, u32)>,
 }
 
@@ -57,18 +57,18 @@ impl NearGrid {
         (z * self.sides[1] + y) * self.sides[0] + x
     }
 
-    /// The distance of a query.
+    /// The search distance.
     pub(crate) fn distance(&self) -> f64 {
         self.distance
     }
 
-    /// Visits the points in the cells next to a query's, in rows: all that are closer than the
-    /// grid's distance, and others.
+    /// Visits the points in the query's cell and the cells around it, row by row: all points closer
+    /// than the grid's distance, and some others.
     fn for_rows_near<'a>(&'a self, query: &Vector, mut visit: impl FnMut(&'a [(Vector, u32)])) {
         let [x, y, z] = self.cell_of(query);
         let [xs, ys, zs] = [(x, 0), (y, 1), (z, 2)].map(|(v, axis)| {
             let (first, end) = ((v - 1.0).max(0.0), (v + 2.0).min(self.sides[axis] as f64));
-            // Casts saturate: a query before the first cell has an empty range.
+            // Casts saturate: the range is empty for a query before the first cell.
             first as usize..end as usize
         });
         if xs.is_empty() {
@@ -82,8 +82,8 @@ impl NearGrid {
         }
     }
 
-    /// Index and squared distance of the nearest point closer than the grid's distance; of equally
-    /// near ones the lowest.
+    /// Index and squared distance of the nearest point closer than the grid's distance. If several
+    /// are equally near, the lowest index wins.
     pub(crate) fn nearest(&self, query: &Vector) -> Option<(usize, f64)> {
         let limit = self.distance * self.distance;
         let mut best = (u32::MAX, limit);

@@ -8,8 +8,8 @@ use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
 /// Unit normals `(N, 3)`: the directions of least variance among the points closer than `radius`
 /// (cloud units).
 ///
-/// A normal points to the side of the cloud's mean, so normals rotate and move with the cloud. It
-/// is zero if fewer than three points are closer than `radius`.
+/// A normal points towards the side of the cloud's mean, so normals rotate and move with the cloud.
+/// It is zero if fewer than three points are closer than `radius`.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud is empty or has a coordinate that is not finite;
@@ -18,10 +18,10 @@ pub fn estimate_normals(points: &[Point], radius: f64) -> Result<Vec<Point>> {
     estimate_normals_with(points, radius, &Control::default())
 }
 
-/// Like [`estimate_normals`], under `control`.
+/// [`estimate_normals`] with progress, cancellation and a deadline.
 ///
 /// # Errors
-/// As [`estimate_normals`], and what `control` ends with.
+/// The errors of [`estimate_normals`]; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
 pub fn estimate_normals_with(points: &[Point], radius: f64, control: &Control) -> Result<Vec<Point>> {
     check_points("points", points)?;
     check_radius("radius", radius)?;
@@ -44,15 +44,15 @@ pub(crate) fn check_radius(name: &'static str, radius: f64) -> Result<()> {
 /// The signs of normals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Orientation {
-    /// Normals point to the side of the cloud's mean.
+    /// Normals point towards the side of the cloud's mean.
     Mean,
-    /// Normals point to the side of the sensor.
+    /// Normals point towards the side of the sensor.
     Viewpoint(Vector),
     /// Normals have no sign.
     Unsigned,
 }
 
-/// [`estimate_normals`] of an indexed cloud.
+/// The normals of an indexed cloud, see [`estimate_normals`].
 pub(crate) fn normals(
     cloud: &Neighbors,
     radius: f64,

@@ -1,5 +1,5 @@
-//! Planar patches of the clouds as they were measured, in fine voxels, and what two clouds share of
-//! them.
+//! Planar patches of the original clouds in fine voxels, and the patches that two clouds
+//! share.
 
 use std::collections::HashSet;
 use std::num::NonZeroUsize;
@@ -16,53 +16,53 @@ use snake_geometry::{Neighbors, Point, Vector, eigen};
 
 /// Smallest side of a fine voxel. Unit: voxels. Set by hand.
 const MIN_SIDE: f64 = 0.125;
-/// A cloud has about this many fine voxels at most; their side follows. Set by hand.
+/// Approximate maximum number of fine voxels of a cloud, which determines their side. Set by hand.
 const MAX_VOXELS: f64 = 60_000.0;
-/// A cloud is finer than its voxels if it has this many fine voxels for each; below, a refinement on them is not worth
-/// its time. Unit: fine voxels per voxel. Half and twice change no outcome.
+/// A cloud is finer than its voxels if it has at least this many fine voxels per voxel. Otherwise a refinement on fine
+/// voxels is not worth its time. Unit: fine voxels per voxel. Half and twice change no outcome.
 const MIN_RATIO: usize = 4;
 /// Number of nearest fine voxels whose covariance gives a normal. Half and twice change no outcome.
 const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
 /// Largest ratio of the variance across a planar patch to the smaller variance along it. Unit: ratio of variances. Half
 /// and twice change no outcome.
 const MAX_THICKNESS: f64 = 0.15;
-/// The same of a patch that the last refinement weighs by its noise, such as a far wall of a depth frame. Chosen on made
-/// rooms of depth frames.
+/// The same ratio for a patch that the last refinement weighs by its noise, such as on a far wall of a depth frame.
+/// Chosen on synthetic rooms of depth frames.
 const MAX_NOISY_THICKNESS: f64 = 0.3;
-/// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled disc has 0.25. Points
-/// where a beam crosses an edge have less: they lie on a plane that is no part of the surface. Unit: ratio of
+/// Smallest ratio of the smaller variance along a planar patch to its squared radius. A filled disc has 0.25. Patches
+/// where a beam crosses an edge have less: they lie on a plane that is not part of the surface. Unit: ratio of
 /// variances. Set by hand.
 const MIN_WIDTH: f64 = 0.1;
-/// The normals of two patches agree if their cosine is above this. Set by hand.
+/// The normals of two patches agree if the absolute value of their cosine is above this. Set by hand.
 pub(crate) const AGREEING_COSINE: f64 = 0.9;
-/// The same of patches that are weighed by their noise. Chosen on made rooms of depth frames.
+/// The same cosine for patches that are weighed by their noise. Chosen on synthetic rooms of depth frames.
 const AGREEING_NOISY_COSINE: f64 = 0.8;
-/// Number of the source's fine voxels that are paired, at most. Set for time (0.08 instead of 0.11 s of CPU for a pair
-/// of made streets).
+/// Maximum number of the source's fine voxels that are paired. Set for time (0.08 instead of 0.11 s of CPU for a pair
+/// of synthetic streets).
 const SAMPLES: usize = 2500;
-/// Largest side of a fine voxel whose points can show that two surfaces lie apart. Unit: voxels. Set by hand.
+/// Largest side of a fine voxel whose points can show that two surfaces are apart. Unit: voxels. Set by hand.
 const MAX_SIDE: f64 = 0.2;
-/// Patches tell what the overlap leaves open if they make up this share of it. Unit: share of the overlap. Corridors,
-/// tunnels and balls have 0.7 and more, wires and rough things less.
+/// Patches show what the overlap leaves open if they make up this share of it. Unit: share of the overlap. Corridors,
+/// tunnels and balls have 0.7 and more, wires and rough objects less.
 const MIN_PLANAR: f64 = 0.5;
-/// Two patches coincide if their distance is below this many of their joint thicknesses. Unit: standard deviations.
+/// Two patches coincide if their distance is below this many times their joint thickness. Unit: standard deviations.
 /// Half and twice change no outcome.
 const COINCIDING: f64 = 2.0;
-/// They lie apart beyond this many. Unit: standard deviations. With 2 real rooms, which drift, have as many as slid slopes.
+/// Two patches are apart beyond this many. Unit: standard deviations. With 2, drift in real rooms looks like a slid slope.
 const APART: f64 = 4.0;
-/// And beyond this: surfaces without noise have no thickness. Unit: greatest distances.
+/// Two patches must also be apart by this, because surfaces without noise have no thickness. Unit: greatest distances.
 const MIN_APART: f64 = 0.05;
-/// The noise of a pair of patches, at least. Unit: fine voxels. Set by hand.
+/// Minimum noise of a pair of patches. Unit: fine voxels. Set by hand.
 const MIN_NOISE: f64 = 0.05;
-/// A surface farther from a place does not tell whether the place lies on it. Unit: inlier distances. Half and twice
+/// A surface farther from a place does not show whether the place lies on it. Unit: inlier distances. Half and twice
 /// change no outcome.
 pub(crate) const NEAR: f64 = 0.5;
-/// A place on a planar patch lies on another patch whose plane is closer than this. Unit: inlier distances. Half and
+/// A place on a planar patch lies on another patch if the plane is closer than this. Unit: inlier distances. Half and
 /// twice change no outcome.
 pub(crate) const MAX_OFFSET: f64 = 0.15;
 /// Other places lie on a surface that is closer than this. Unit: inlier distances. Half and twice change no outcome.
 const MAX_APART: f64 = 0.25;
-/// Fewer patches do not show whether the surfaces coincide. Half and twice change no outcome.
+/// Fewer pairs of patches do not show whether the surfaces coincide. Half and twice change no outcome.
 pub(crate) const MIN_PAIRS: usize = 100;
 
 /// A planar patch: its mean, its normal without a sign, and the standard deviation across it.
@@ -71,20 +71,20 @@ struct Patch {
     mean: Vector,
     normal: Vector,
     thickness: f64,
-    /// Whether its thickness hardly hides what its plane resists.
+    /// Whether it is within [`MAX_THICKNESS`], so that its plane constrains a transform without weighting.
     is_thin: bool,
 }
 
-/// What surrounds a fine voxel.
+/// The neighbourhood of a fine voxel.
 #[derive(Clone, Copy)]
 struct Surroundings {
     /// The planar patch, if it is one.
     patch: Option<Patch>,
-    /// The distance of the farthest of the nearest fine voxels: a place that is nearer may lie in a gap between samples.
+    /// Distance to the farthest of the nearest fine voxels. A place closer than this may lie in a gap between samples.
     radius: f64,
 }
 
-/// A point, with the normal of its patch if it is on a planar one.
+/// A point, with the normal of its patch if that is planar.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) point: Vector,
@@ -99,7 +99,7 @@ impl Place {
     }
 }
 
-/// A cloud in fine voxels, with normals that are computed when they are needed.
+/// A cloud in fine voxels, with normals that are computed on demand.
 pub(crate) struct FineCloud {
     cloud: Neighbors,
     surroundings: Vec<OnceLock<Surroundings>>,
@@ -110,9 +110,9 @@ pub(crate) struct FineCloud {
 }
 
 impl FineCloud {
-    /// A cloud that has `count` voxels of side `voxel_size`.
+    /// The fine voxels of a cloud that has `count` voxels of side `voxel_size`.
     pub(crate) fn new(points: &[Point], voxel_size: f64, count: usize) -> Result<Self> {
-        // The number of voxels of a surface follows from the square of their side.
+        // The number of voxels on a surface is inversely proportional to the square of their side.
         let side = voxel_size * MIN_SIDE.max((count as f64 / MAX_VOXELS).sqrt());
         let means = voxel_means(points, side, &Counter::default())?;
         let surroundings = (0..means.len()).map(|_| OnceLock::new()).collect();
@@ -143,12 +143,12 @@ impl FineCloud {
         &self.cloud.points
     }
 
-    /// About `count` of the fine voxels.
+    /// At most `count` of the fine voxels.
     pub(crate) fn sample(&self, count: usize) -> Vec<Place> {
         self.places_of(count, |_| Some(IsometryMatrix3::identity()))
     }
 
-    /// At most about `count` of the fine voxels, no two in one cube of side `spacing`.
+    /// At most `count` of the fine voxels, no two in one cube of side `spacing`.
     pub(crate) fn thinned(&self, spacing: f64, count: usize) -> Vec<Place> {
         let points = &self.cloud.points;
         let mut cells = HashSet::new();
@@ -159,8 +159,8 @@ impl FineCloud {
         kept.par_iter().step_by(kept.len().div_ceil(count).max(1)).map(place).collect()
     }
 
-    /// About `count` of the fine voxels under a transform, without those that are then farther from
-    /// another cloud than `max_distance`.
+    /// At most `count` of the fine voxels under a transform. Voxels that are then `max_distance` or
+    /// farther from another cloud are left out.
     pub(crate) fn places(
         &self,
         transform: &IsometryMatrix3<f64>,
@@ -174,7 +174,7 @@ impl FineCloud {
         })
     }
 
-    /// About `count` of the fine voxels, each under a transform, if there is one.
+    /// At most `count` of the fine voxels, each under its transform; voxels without one are left out.
     fn places_of(
         &self,
         count: usize,
@@ -190,8 +190,8 @@ impl FineCloud {
         (0..points.len()).into_par_iter().step_by(step).filter_map(place).collect()
     }
 
-    /// Whether a place lies on the surface next to it; `None` where there is none near, and where the place is in a gap
-    /// between samples.
+    /// Whether a place lies on the nearest surface; `None` if no surface is near, and if the place may lie in a gap between
+    /// samples.
     pub(crate) fn lies_on(&self, place: &Place, inlier_distance: f64) -> Option<bool> {
         let (nearest, distance) = *self.cloud.nearest(&place.point, NonZeroUsize::MIN).first()?;
         if distance > NEAR * inlier_distance {
@@ -209,23 +209,23 @@ impl FineCloud {
     }
 }
 
-/// Planar patches that both clouds have.
+/// Planar patches that both clouds share.
 pub(crate) struct Overlap {
-    /// Points of the source, each with the plane between its patch and that of the nearest target
-    /// point.
+    /// Points of the source, each with the mean plane of its patch and of the patch at the nearest
+    /// target point.
     pub(crate) patches: Vec<PlanePair>,
-    /// The pairs of these and of thicker patches, by their means. Normals and distances are divided by the standard deviation
-    /// across both patches, which is the noise of their points.
+    /// The pairs of these and of thicker patches, at the patches' means. Normals and distances are divided by the standard
+    /// deviation across both patches, which is the noise of their points.
     pub(crate) weighed: Vec<PlanePair>,
     /// The share of the patches that coincide within their thickness.
     coinciding: f64,
-    /// The share of the patches that lie apart for their thickness.
+    /// The share of the patches that are apart, given their thickness.
     apart: f64,
-    /// The share of the source's points on the target that lie on patches of both.
+    /// The share of paired points whose patches in both clouds are thin and agree.
     planar: f64,
 }
 
-/// A sample of the patches that the clouds share under a transform: at most `max_distance` apart.
+/// A sample of the patches that the clouds share under a transform, at most `max_distance` apart.
 pub(crate) fn overlap(
     [source, target]: [&FineCloud; 2],
     transform: &IsometryMatrix3<f64>,
@@ -264,17 +264,17 @@ pub(crate) fn overlap(
 }
 
 impl Overlap {
-    /// Whether planar patches make up enough of the overlap to tell what it leaves open.
+    /// Whether enough of the overlap is planar to show what it leaves open.
     pub(crate) fn is_planar(&self) -> bool {
         self.planar >= MIN_PLANAR
     }
 
-    /// The share of the patches that lie apart for their thickness; 0 of few.
+    /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].
     pub(crate) fn apart(&self) -> f64 {
         if self.patches.len() < MIN_PAIRS { 0.0 } else { self.apart }
     }
 
-    /// The share of the patches that coincide; `None` where the points are too coarse to show it.
+    /// The share of the patches that coincide; `None` if there are few, or if the points are too coarse to show it.
     pub(crate) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
         let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < MAX_SIDE * voxel_size;
         (self.patches.len() >= MIN_PAIRS && clouds.iter().all(is_fine)).then_some(self.coinciding)

@@ -1,5 +1,5 @@
-//! Pairs of points and planes: the information they hold about a transform, and the step onto the
-//! planes.
+//! Pairs of points and planes: their information about a transform, and the least-squares step onto
+//! the planes.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 use rayon::prelude::*;
@@ -8,20 +8,20 @@ use crate::cloud::surface::Surface;
 use crate::rigid::moved;
 use snake_geometry::Vector;
 
-/// Pairs do not constrain a direction whose mean squared cosine to the normals is below this. Half and twice change no
+/// A direction is open if the mean squared cosine between it and the normals is below this. Half and twice change no
 /// outcome.
 const OPEN_DIRECTION: f64 = 1e-3;
 
-/// A source point in the target frame and the plane that it belongs to.
+/// A source point in the target frame and the plane it is matched to.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PlanePair {
     pub(crate) point: Vector,
     pub(crate) normal: Vector,
-    /// The distance of the plane in front of the point.
+    /// Signed distance from the point to the plane along the normal.
     pub(crate) distance: f64,
 }
 
-/// Source points and the tangent planes of the nearest target points.
+/// Source points, each with the tangent plane of the nearest target point.
 pub(crate) fn plane_pairs(source: &[Vector], target: &Surface, transform: &IsometryMatrix3<f64>) -> Vec<PlanePair> {
     let pair = |point: &Vector| {
         let point = moved(transform, point);
@@ -32,15 +32,15 @@ pub(crate) fn plane_pairs(source: &[Vector], target: &Surface, transform: &Isome
     source.par_iter().filter_map(pair).collect()
 }
 
-/// Every `step`-th point of source and target, each with the nearest of the other, where their
-/// normals agree.
+/// Every `step`-th point of source and target, each with the nearest point of the other cloud;
+/// pairs whose normals do not agree are left out.
 pub(crate) fn symmetric_pairs(
     [source, target]: [&Surface; 2],
     transform: &IsometryMatrix3<f64>,
     step: usize,
 ) -> Vec<PlanePair> {
     let inverse = transform.inverse();
-    // Signs count if both have them.
+    // The signs of normals count only if both surfaces have them.
     let signed = if source.is_signed() { target } else { source };
     let pair = |point: Vector, [source_index, target_index]: [usize; 2]| {
         let rotated = transform.rotation * source.normals[source_index];
@@ -62,20 +62,20 @@ pub(crate) fn symmetric_pairs(
     pairs
 }
 
-/// The sum of the pairs' information.
+/// The sum of the pairs' information matrices.
 pub(crate) fn information<'a>(pairs: impl Iterator<Item = &'a PlanePair>) -> Matrix6<f64> {
     let rows = pairs.map(|pair| twist(&pair.point, &pair.normal));
     rows.fold(Matrix6::zeros(), |sum, row| sum + row * row.transpose())
 }
 
-/// The gradient of a point's distance to a plane by a rotation about the origin and a translation.
+/// The derivative of a point's distance to a plane with respect to a rotation about the origin and a translation.
 pub(crate) fn twist(point: &Vector, normal: &Vector) -> Vector6<f64> {
     let lever = point.cross(normal);
     Vector6::new(lever.x, lever.y, lever.z, normal.x, normal.y, normal.z)
 }
 
-/// The normal equations of pairs, about their mean. Rotations are scaled to lengths by the pairs'
-/// extent, so that their eigenvalues are comparable with those of translations.
+/// The normal equations of pairs, about the mean of their points. Rotations are scaled to lengths by
+/// the pairs' extent, so that their eigenvalues are comparable with those of translations.
 pub(crate) struct NormalEquations {
     pub(crate) information: Matrix6<f64>,
     residuals: Vector6<f64>,
@@ -85,7 +85,7 @@ pub(crate) struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// `None` for no pairs or a single point.
+    /// Returns `None` without pairs or if all pairs share one point.
     pub(crate) fn new(pairs: &[PlanePair]) -> Option<Self> {
         let count = pairs.len() as f64;
         let center = pairs.iter().map(|pair| pair.point).sum::<Vector>() / count;
@@ -102,7 +102,7 @@ impl NormalEquations {
         Some(Self { information, residuals, count, center, extent })
     }
 
-    /// Removes rotations about other axes.
+    /// Allows only rotations about this axis.
     fn about(mut self, axis: &Vector) -> Self {
         let mut allowed = Matrix6::identity();
         allowed.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::from(axis * axis.transpose()));
@@ -111,7 +111,7 @@ impl NormalEquations {
         self
     }
 
-    /// The least-squares step; directions that are not constrained stay.
+    /// The least-squares step, without movement along open directions.
     fn step(&self) -> IsometryMatrix3<f64> {
         let eigen = self.information.symmetric_eigen();
         let constrained = |value: &f64| *value > OPEN_DIRECTION * self.count;

@@ -12,16 +12,16 @@ use snake_geometry::Vector;
 pub(crate) const AGREEING_COSINE: f64 = 0.7;
 /// Tolerance of a coarse depth image. Unit: inlier distances. Half and twice change no outcome.
 pub(crate) const DEPTH_MARGIN: f64 = 1.5;
-/// Weight of violated free space beside the overlap in the score of a transform. Unit: overlap per share of violated
+/// Weight of violated free space relative to the overlap in a transform's score. Unit: overlap per share of violated
 /// free space. Chosen on pairs of indoor scans.
 const VIOLATION_WEIGHT: f64 = 2.0;
-/// Weight of an inlier beside the overlap in the score of a transform. Unit: overlap per inlier. Chosen on pairs of
+/// Weight of an inlier relative to the overlap in a transform's score. Unit: overlap per inlier. Chosen on pairs of
 /// indoor scans.
 const INLIER_WEIGHT: f64 = 0.005;
 /// Largest share of opposite normals on the overlap if the sensors were at the origins. Unit: share of the overlap.
 /// Scans have 0.05 and less, simulated sweeps 0.14, objects around the origin 0.2 to 0.5.
 pub(crate) const MAX_OPPOSED: f64 = 0.15;
-/// Number of the source's voxels that compare transforms coarsely, at most. Half and twice change no outcome.
+/// Maximum number of the source's voxels in a coarse comparison of transforms. Half and twice change no outcome.
 const COARSE_VOXELS: usize = 700;
 
 /// The voxels of a cloud, indexed for the comparison with another cloud.
@@ -39,9 +39,9 @@ pub(crate) struct Surface<'a> {
 /// How well a source fits a target under a transform.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Agreement {
-    /// Share of the source's points on the target with agreeing normals.
+    /// Share of the source's points that lie on the target and whose normals agree.
     pub(crate) overlap: f64,
-    /// Share of the points of both clouds in space that the other cloud's sensor saw through.
+    /// Share of both clouds' points in free space: the other cloud's sensor saw through them.
     pub(crate) violation: f64,
 }
 
@@ -58,7 +58,7 @@ impl Agreement {
     }
 }
 
-/// A coarse comparison takes every so many voxels of a cloud with this many.
+/// The step with which a coarse comparison samples a cloud of `voxels` voxels.
 pub(crate) fn coarse_step(voxels: usize) -> usize {
     voxels.div_ceil(COARSE_VOXELS)
 }
@@ -75,7 +75,7 @@ impl<'a> Surface<'a> {
         Self { points, normals, grid: NearGrid::new(points, inlier_distance), signed: image.is_some(), image }
     }
 
-    /// The same surface, whose normals have no signs.
+    /// The same surface with unsigned normals.
     pub(crate) fn without_signs(self) -> Self {
         Self { signed: false, ..self }
     }
@@ -91,7 +91,7 @@ impl<'a> Surface<'a> {
         (if self.is_signed() { cosine } else { cosine.abs() }) > AGREEING_COSINE
     }
 
-    /// The unit vector between two normals that agree.
+    /// The unit bisector of two normals; `None` if they do not agree.
     pub(crate) fn common_normal(&self, a: &Vector, b: &Vector) -> Option<Vector> {
         self.agree(a, b).then(|| (if a.dot(b) < 0.0 { b - a } else { a + b }).normalize())
     }
@@ -115,12 +115,12 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// Whether the transform brings a point to the target, with normals that agree.
+    /// Whether a point lies on the target under the transform, and the normals agree.
     pub(crate) fn is_on(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> bool {
         self.partner(index, target, transform).is_some()
     }
 
-    /// The point of the target to which the transform brings a point, if their normals agree.
+    /// The target point nearest to a point under the transform; `None` if none is near or the normals do not agree.
     pub(crate) fn partner(&self, index: usize, target: &Self, transform: &IsometryMatrix3<f64>) -> Option<usize> {
         let normal = transform.rotation * self.normals[index];
         let (nearest, _) = target.grid.nearest(&moved(transform, &self.points[index]))?;
@@ -131,8 +131,8 @@ impl<'a> Surface<'a> {
         self.image.as_ref().map(|image| image.viewpoint)
     }
 
-    /// Share of opposite normals among the source's points on the target with parallel normals; 0
-    /// without any.
+    /// Share of opposite normals among the source's points that lie on the target and whose normals are
+    /// parallel; 0 without any.
     pub(crate) fn opposed(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>) -> f64 {
         let cosine = |index: usize| {
             let (other, _) = target.grid.nearest(&moved(transform, &source.points[index]))?;
@@ -143,14 +143,14 @@ impl<'a> Surface<'a> {
         parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
     }
 
-    /// Share of the points of both clouds in space that a fine depth image of the other shows to be
-    /// free; 0 if the viewpoints are not known.
+    /// Share of both clouds' points that lie in free space according to a fine depth image of the other
+    /// cloud; 0 if the viewpoints are not known.
     pub(crate) fn fine_violation(surfaces: &[Self; 2], transform: &IsometryMatrix3<f64>) -> f64 {
         Self::violation(surfaces, &surfaces.each_ref().map(Self::fine_image), transform, 1)
     }
 
-    /// Share of every `step`-th point of both clouds in space that the image of the other cloud
-    /// shows to be free.
+    /// Share of every `step`-th point of both clouds that lies in free space according to the image of
+    /// the other cloud.
     pub(crate) fn violation(
         [source, target]: &[Self; 2],
         [source_image, target_image]: &[Option<DepthImage>; 2],

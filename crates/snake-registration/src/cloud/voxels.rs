@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use snake_core::{Control, Counter, Result};
 use snake_geometry::{Neighbors, Point, Vector, vector};
 
-/// Downsamples finite points to the means of voxels, indexed for neighbour queries.
+/// Downsamples finite points to the means of voxels, and indexes these for neighbour queries.
 pub(crate) fn downsample(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
     let counter = control.begin("voxels", points.len());
     Neighbors::new(voxel_means(points, voxel_size, &counter)?)

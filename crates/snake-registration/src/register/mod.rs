@@ -20,8 +20,8 @@ use tries::{Effort, Search};
 
 /// Finds the rigid transform from `source` `(N, 3)` to `target` `(M, 3)` without an initial guess.
 ///
-/// Both clouds are in the same units; they may overlap only in part. [`register_with`] takes what
-/// is known of the pair, such as a guess, and the model of a detector or descriptor that runs one.
+/// Both clouds are in the same units; they may overlap only in part. [`register_with`] also takes
+/// prior knowledge of the pair, such as a guess, and the model that a detector or descriptor runs.
 ///
 /// ```
 /// use snake_core::RigidTransform;
@@ -45,7 +45,7 @@ pub fn register(source: &[Point], target: &[Point], options: &RegisterOptions) -
     register_with(source, target, None, options, &PairOptions::default(), &Control::default())
 }
 
-/// [`register`] with what is known of the pair, with the model of the detector `snake` or the
+/// [`register`] with prior knowledge of the pair, with the model of the detector `snake` or the
 /// descriptor `field`, and with progress and cancellation.
 ///
 /// # Errors

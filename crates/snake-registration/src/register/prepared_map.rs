@@ -9,12 +9,12 @@ use crate::options::{PairOptions, RegisterOptions, check_viewpoint, place_viewpo
 use crate::result::Registration;
 use crate::steps::{Lengths, Pair, PreparedCloud, prepare};
 
-/// Number of keypoints of a map, at most. 23 of 25 scans are right in 2.2 times the time of a pair; with 16 000 22 in
-/// 1.9, with 40 000 23 in 3.3, with all 22 in 5.4.
+/// Maximum number of keypoints of a map. With it, 23 of 25 scans are right in 2.2 times the time of a pair. With
+/// 16 000 keypoints it is 22 scans in 1.9 times, with 40 000 it is 23 in 3.3, and with all of them 22 in 5.4.
 const KEYPOINTS: usize = 20_000;
 
-/// A map that scans are registered to, such as a floor of rooms or a street. Its voxels, normals and
-/// descriptors are made once and kept.
+/// A map to which scans are registered, such as a floor of rooms or a street. Its voxels, normals and
+/// descriptors are computed once and kept.
 pub struct PreparedMap {
     prepared: PreparedCloud,
     origin: [f64; 3],
@@ -23,12 +23,12 @@ pub struct PreparedMap {
 }
 
 impl PreparedMap {
-    /// Prepares a map `(M, 3)`. `viewpoint` is the sensor's position in the map's frame, if one
-    /// sensor saw it all.
+    /// Prepares a map `(M, 3)`. `viewpoint` is the sensor's position in the map's frame, if a single
+    /// sensor saw the whole map.
     ///
-    /// `voxel_size` has to be given: it follows from the size of the scans, which the map does not
-    /// tell. [`register`](super::register()) takes 1/80 of a scan's diameter. `max_keypoints` is that of
-    /// a scan; a map has up to 20 000.
+    /// `voxel_size` is required: it depends on the size of the scans, which the map does not show.
+    /// [`register`](super::register()) takes 1/80 of a scan's diameter. `max_keypoints` applies to scans;
+    /// a map has up to 20 000.
     ///
     /// # Errors
     /// [`Error::Option`] without a voxel size; the errors of [`prepare`](crate::steps::prepare()).
@@ -46,7 +46,7 @@ impl PreparedMap {
         }
         check_viewpoint("viewpoint", viewpoint)?;
         let viewpoints = [place_viewpoint(viewpoint, map.origin)];
-        // The seed of a pair's target: with that of the source, equal clouds would have equal random
+        // The seed of a pair's target. With the source's seed, equal clouds would have equal random
         // keypoints.
         let map_options = options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(KEYPOINTS);
         let model = options.model_to_run(model)?;
@@ -54,7 +54,7 @@ impl PreparedMap {
         Ok(Self { prepared, origin: map.origin, model: model.cloned(), options: *options })
     }
 
-    /// The lengths with which the map is prepared, and with which scans are.
+    /// The lengths with which the map and the scans are prepared.
     pub fn lengths(&self) -> &Lengths {
         self.prepared.lengths()
     }
@@ -64,8 +64,8 @@ impl PreparedMap {
     ///
     /// # Errors
     /// The errors of [`register_with`](super::register_with()); [`Error::Option`] also for a
-    /// `target_viewpoint`, which [`PreparedMap::new`] takes, and for `estimate_scale`, by which the
-    /// lengths would change.
+    /// `target_viewpoint`, which belongs to [`PreparedMap::new`], and for `estimate_scale`, which would
+    /// change the lengths.
     pub fn register(&self, scan: &Cloud, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
         let start = Instant::now();
         pair_options.check()?;

@@ -1,4 +1,4 @@
-//! A source of unknown scale: registration at several factors.
+//! Registration of a source of unknown scale, at several scale factors.
 
 use super::tries::{Effort, Keep, Search, keep};
 use crate::options::PairOptions;
@@ -8,14 +8,14 @@ use crate::steps::prepare::Given;
 use snake_core::{Control, Error, Result};
 use snake_geometry::Point;
 
-/// Ratio of two factors that are tried one after the other. Sources 5 percent off are registered.
+/// Ratio of consecutive scale factors. Sources that are 5 percent off are registered.
 const RATIO: f64 = 1.12;
-/// Number of factors to either side of 1. 1.12 to the 14th is 4.9.
+/// Number of factors on either side of 1: 1.12 to the 14th is 4.9.
 const FACTORS: i32 = 14;
-/// Number of times that the factor is made exact. Set by hand.
+/// Maximum number of corrections of a factor. Set by hand.
 const ROUNDS: usize = 2;
 
-/// The registration at the scale at which it is most confident. Factors near 1 are tried first,
+/// The most confident of the registrations at all scale factors. Factors near 1 are tried first,
 /// until one is reliable.
 pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
     let mut best: Option<Registration> = None;
@@ -29,7 +29,7 @@ pub(super) fn register_at_scales(given: &Given, pair_options: &PairOptions, cont
     best.ok_or_else(|| Error::NoTransform { reason: "no three correspondences fit at any scale from 0.2 to 5".into() })
 }
 
-/// The registration at a factor that is made exact on the clouds.
+/// The registration at a scale factor, which is corrected on the clouds.
 fn at_scale(given: &Given, pair_options: &PairOptions, factor: f64, control: &Control) -> Result<Registration> {
     let mut scale = factor;
     let mut best: Option<Registration> = None;
@@ -41,12 +41,12 @@ fn at_scale(given: &Given, pair_options: &PairOptions, factor: f64, control: &Co
         let pair = level.clouds.pair(given.options.gravity);
         let one = match Search::new(&pair, given.options, pair_options, Effort::Usual, control).register() {
             Ok(one) => Registration { scale, ..one },
-            // Without a transform at the exact factor, that at the rough one stays.
+            // Without a transform at the corrected factor, the one at the previous factor stays.
             Err(Error::NoTransform { .. }) if best.is_some() => break,
             Err(error) => return Err(error),
         };
         let change = best_scale(pair.surfaces(), one.t_target_source.isometry()).unwrap_or(1.0);
-        // The exact factor counts unless it is doubtful.
+        // A reliable result replaces the previous one; a doubtful one only if it is more confident.
         let how = if one.verdict.is_reliable { Keep::Always } else { Keep::MoreConfident };
         keep(&mut best, Ok(one), how)?;
         if (change - 1.0).abs() < 1e-3 || !(1.0 / RATIO..RATIO).contains(&change) {

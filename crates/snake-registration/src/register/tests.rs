@@ -163,7 +163,7 @@ fn register_runs_the_public_steps() {
     let judged = judge(&pair, &matches, &candidates).unwrap();
     let unsigned = run(source, &target, &options.with_use_viewpoints(false)).unwrap();
     assert_eq!((judged.t_target_source, judged.verdict), (unsigned.t_target_source, unsigned.verdict));
-    // A transform of another origin is measured, refined and judged in the same way.
+    // A transform from another origin is measured, refined and judged in the same way.
     let own = steps::approach(&pair, &truth, options.icp_steps, &control).unwrap();
     let own = steps::Candidate::measure(&pair, &matches, &own);
     assert!(own.overlap() > candidates[0].overlap() - 0.05 && own.free_space_violation() == 0.0, "{own:?}");
@@ -174,8 +174,8 @@ fn register_runs_the_public_steps() {
     assert!(pair.matches(&[[0, 999_999]]).unwrap_err().to_string().contains("999999"));
 }
 
-/// Two sectors of a room with boxes at random places, as seen from its middle: 140 degrees of azimuth
-/// each, of which they share 40. The second is rotated.
+/// Two sectors of a room with boxes at random places, seen from its middle. Each covers 140 degrees of
+/// azimuth, and they share 40. The second is rotated.
 fn sectors(seed: u64) -> ([Vec<Point>; 2], RigidTransform) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut points: Vec<Point> = Vec::new();
@@ -227,7 +227,7 @@ fn single_matches_find_more_pairs_of_low_overlap() {
             near
         });
         assert!(is_right[1] || !is_right[0], "{seed}");
-        // The transforms with most support come first; without sensors no match votes.
+        // The transforms with the most support come first; without sensors there are no votes.
         let [from, to] = describe(&pair, &control).unwrap();
         let matches = match_rows(&from, &to, 5000, &control).unwrap();
         let voters = Voters::new(&pair, &matches, &control).unwrap();

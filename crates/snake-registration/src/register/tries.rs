@@ -1,4 +1,4 @@
-//! Every way in which the transform of a pair is searched for, as one table.
+//! A table of all ways to search for the transform of a pair.
 
 use crate::options::{PairOptions, RegisterOptions};
 use crate::result::Registration;
@@ -11,30 +11,30 @@ use crate::steps::{self, Match, Pair, approach, challenge, consensus, describe, 
 use snake_core::{Control, Error, Result};
 use snake_geometry::RigidTransform;
 
-/// Number of matches beside those of the usual search, for transforms of single matches. With 1, two of 35 validation
-/// pairs fewer are right.
+/// Number of matches for transforms of single matches, as a multiple of the usual number. With 1, two fewer of 35
+/// validation pairs are right.
 const MATCHES: f64 = 2.5;
-/// Number of transforms of single matches that are compared on the clouds, at most. 100 find no more on validation
+/// Maximum number of transforms of single matches that are compared on the clouds. 100 find no more on validation
 /// pairs.
 const CANDIDATES: usize = 40;
 /// Number of transforms that are refined on all voxels. 60 find no more on validation pairs.
 const REFINED: usize = 12;
-/// A try on finer voxels confirms a transform that moves the source by less than this from its own. Unit: inlier
-/// distances. Three of three right ones have 0.1 to 0.27.
+/// A try on finer voxels confirms a transform if the two move the source by less than this relative to each other.
+/// Unit: inlier distances. Three of three right ones have 0.1 to 0.27.
 const CONFIRMED: f64 = 0.5;
 
 /// One try: a row of [`TRIES`].
 struct Try {
-    /// Whether it can change what was found so far, which is not reliable.
+    /// Whether it can change the result so far, which is not reliable.
     applies: fn(&Search, &Tried) -> bool,
     /// How it prepares the clouds and guesses transforms.
     run: fn(&Search, &mut Tried) -> Result<Registration>,
-    /// What it costs in confidence.
+    /// Lowers the confidence by the cost of the try.
     cost: fn(&Search, Registration) -> Result<Registration>,
     keep: Keep,
 }
 
-/// Which result takes the place of the one so far. If there is none, any does.
+/// Which result replaces the best one so far. Without one, any result is kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Keep {
     Always,
@@ -42,7 +42,7 @@ pub(super) enum Keep {
     Reliable,
 }
 
-/// The tries in their order, until one is reliable.
+/// The tries in order; the search stops once a result is reliable.
 const TRIES: [Try; 4] = [
     // Transforms on which matches agree.
     Try {
@@ -51,22 +51,22 @@ const TRIES: [Try; 4] = [
         cost: |_, registration| Ok(registration),
         keep: Keep::Always,
     },
-    // Those of single matches too.
+    // Also transforms of single matches.
     Try {
         applies: |search, tried| search.has_single_matches(tried) && !tried.repeats(),
         run: |search, tried| search.by_single_matches(tried),
         cost: |search, registration| search.unconfirmed(registration),
-        // It has compared the transforms of the first try, too.
+        // This try has compared the transforms of the first try, too.
         keep: Keep::Always,
     },
-    // Without signs of normals. Without viewpoints, the clouds would have had none.
+    // Without signs of normals; pointless if there are none.
     Try {
         applies: |search, tried| tried.is_signed() && search.pair.has_doubtful_signs(),
         run: |search, tried| search.by_matches(&search.pair.without_signs(), tried),
         cost: |_, registration| Ok(registration),
         keep: Keep::MoreConfident,
     },
-    // On finer voxels. What repeats itself does so at any size of voxels.
+    // On finer voxels. Repetitive structure repeats at any voxel size.
     Try {
         applies: |search, tried| search.given.is_some() && !tried.repeats(),
         run: |search, tried| search.on_finer_voxels(tried),
@@ -75,24 +75,24 @@ const TRIES: [Try; 4] = [
     },
 ];
 
-/// How much is tried.
+/// The effort of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Effort {
     /// The transforms on which matches agree.
     Usual,
-    /// Those of single matches too, if the first result is not reliable.
+    /// Also transforms of single matches, if the first result is not reliable.
     Thorough,
 }
 
-/// A pair with what is known of it.
+/// A pair with prior knowledge, and how to search for its transform.
 pub(crate) struct Search<'a, 'p> {
     pub(crate) pair: &'a Pair<'p>,
     pub(crate) options: &'a RegisterOptions,
     pub(crate) pair_options: &'a PairOptions,
-    /// Transforms beside those that are searched for.
+    /// Further transforms to compare with those that the search finds.
     pub(crate) guesses: &'a [RigidTransform],
     pub(crate) effort: Effort,
-    /// The clouds as they were given, if they may be prepared again.
+    /// The original clouds, if they may be prepared again.
     pub(crate) given: Option<(&'a Given<'a>, &'a Level)>,
     pub(crate) control: &'a Control,
 }
@@ -102,11 +102,11 @@ pub(crate) struct Search<'a, 'p> {
 struct Tried {
     best: Option<Registration>,
     matched: Option<Matched>,
-    /// The best of single matches, before what it costs in confidence.
+    /// The best result from single matches, before the cost is applied.
     single: Option<Registration>,
 }
 
-/// The matches of a pair, and the transforms that they and the options gave.
+/// The matches of a pair, and the transforms from matches and options.
 struct Matched {
     is_signed: bool,
     indices: Vec<[usize; 2]>,
@@ -126,7 +126,7 @@ impl Tried {
 }
 
 impl<'a, 'p> Search<'a, 'p> {
-    /// A pair of which nothing else is known, and that is not prepared again.
+    /// A pair without prior knowledge, which is not prepared again.
     pub(crate) fn new(
         pair: &'a Pair<'p>,
         options: &'a RegisterOptions,
@@ -160,7 +160,7 @@ impl<'a, 'p> Search<'a, 'p> {
         tried.best.ok_or_else(|| missing.unwrap_or_else(reason))
     }
 
-    /// The six steps for a pair, without signs of normals where they prove wrong.
+    /// The six steps for a pair; without signs of normals if the result contradicts the viewpoints.
     fn by_matches(&self, pair: &Pair, tried: &mut Tried) -> Result<Registration> {
         let Self { options, pair_options, control, .. } = self;
         let rows = describe(pair, control)?;
@@ -184,15 +184,15 @@ impl<'a, 'p> Search<'a, 'p> {
         Ok(registration)
     }
 
-    /// Whether transforms of single matches are searched for: they need signs, and without ICP the
-    /// angle of a single match is too rough.
+    /// Whether to search for transforms of single matches: they need signs, and without ICP the angle
+    /// of a single match is too imprecise.
     fn has_single_matches(&self, tried: &Tried) -> bool {
         let is_possible = self.options.icp_steps > 0 && self.pair_options.initial.is_none();
         self.effort == Effort::Thorough && is_possible && tried.is_signed()
     }
 
-    /// The best of the transforms so far and of those of single matches, by the support of the single
-    /// matches too.
+    /// The best of the transforms so far and of those from single matches; the support of the single
+    /// matches counts, too.
     fn by_single_matches(&self, tried: &mut Tried) -> Result<Registration> {
         let Some(Matched { indices, matches, guesses, .. }) = &tried.matched else {
             return Err(Error::NoTransform { reason: "no matches".into() });
@@ -209,8 +209,8 @@ impl<'a, 'p> Search<'a, 'p> {
         Ok(registration)
     }
 
-    /// The confidence of a transform of a single match. On voxels much coarser than the clouds, what
-    /// fits best may be off: the try on finer voxels has to confirm it.
+    /// Lowers the confidence of a transform from single matches. On voxels much coarser than the clouds,
+    /// the best fit may be wrong, so the try on finer voxels has to confirm it.
     fn unconfirmed(&self, registration: Registration) -> Result<Registration> {
         let mut registration = less_confident(registration);
         let [source, target] = self.pair.fine()?;
@@ -223,8 +223,8 @@ impl<'a, 'p> Search<'a, 'p> {
         Ok(registration)
     }
 
-    /// The tries of matches on voxels of a third of the side, with the result so far among the guesses. If they find
-    /// what single matches had found, they confirm it.
+    /// The tries by matches on finer voxels, with the best result so far as a further guess. If they find the
+    /// transform of the single matches, they confirm it.
     fn on_finer_voxels(&self, tried: &mut Tried) -> Result<Registration> {
         let none = || Error::NoTransform { reason: "the clouds are not finer than their voxels".into() };
         let (given, level) = self.given.ok_or_else(none)?;
@@ -239,7 +239,7 @@ impl<'a, 'p> Search<'a, 'p> {
         }
     }
 
-    /// The result of single matches, if it is the best so far and another try found the same.
+    /// The result of single matches, if it is the best so far and another try found the same transform.
     fn confirmed(&self, found: &Registration, tried: &mut Tried) -> Option<Registration> {
         let single = tried.single.take()?;
         let is_best = tried.best.as_ref().is_some_and(|best| best.t_target_source == single.t_target_source);
@@ -250,8 +250,8 @@ impl<'a, 'p> Search<'a, 'p> {
     }
 }
 
-/// Keeps a result in the place of the best so far, of equals the first. Returns the error of a try
-/// without a transform.
+/// Replaces the best result so far as `keep` says; among equally confident results the first stays.
+/// Returns the error of a try without a transform.
 ///
 /// # Errors
 /// All other errors.
@@ -276,10 +276,10 @@ pub(super) fn keep(
     Ok(None)
 }
 
-/// A guess whose rotation is off by more has too few digits, about which a note is due.
+/// A guess whose rotation is off by more than this was rounded, which a note reports.
 const ROUNDED: f64 = 1e-6;
 
-/// Notes that the guess was not quite a rotation.
+/// Adds a note if the guess was not exactly a rotation.
 fn note_rounding(registration: &mut Registration, pair_options: &PairOptions) {
     if pair_options.initial.is_some_and(|guess| guess.rotation_error() > ROUNDED) {
         registration.verdict.notes.push("`initial` has a rounded rotation: the nearest exact one was taken".into());
