@@ -1,4 +1,4 @@
-//! Reuse of the memory of volumes: the operating system clears fresh memory page by page, which takes time.
+//! Reuse of the memory of volumes: the operating system zeroes new memory page by page, which takes time.
 
 use std::mem::take;
 use std::ops::{Deref, DerefMut};
@@ -16,21 +16,21 @@ pub struct Buffer {
 }
 
 impl BufferPool {
-    /// The pool keeps at most this many unused buffers of one length: one cloud uses no more at a time.
+    /// Maximum number of unused buffers of one length in the pool: one cloud uses no more at a time.
     const KEPT: usize = 4;
 
-    /// The pool keeps at most this many values in unused buffers: 512 MiB. The oldest leave first.
+    /// Maximum number of values in all unused buffers of the pool: 512 MiB. The oldest buffers are freed first.
     const LONGEST: usize = 1 << 27;
 
     /// A buffer of `length` values, whose contents are arbitrary.
     pub fn take(&self, length: usize) -> Buffer {
         let values = self.unused().and_then(|mut unused| {
-            // The volumes of scenes differ in length: one that is up to twice as long will do.
+            // The volumes of scenes differ in length: a buffer up to twice as long is also used.
             let same = unused.iter().position(|values| values.len() == length);
             let place =
                 same.or_else(|| unused.iter().position(|values| (length..=2 * length).contains(&values.capacity())));
             if place.is_none() {
-                // A longer one takes the place of those that were nearly long enough.
+                // A new, longer buffer replaces the unused ones that are at least half as long.
                 unused.retain(|values| !(length.div_ceil(2)..length).contains(&values.capacity()));
             }
             Some(unused.remove(place?))
@@ -40,8 +40,8 @@ impl BufferPool {
         Buffer { values, pool: self.clone() }
     }
 
-    /// The unused buffers, or none while another thread has them. Nothing waits for them: in a forked child that thread
-    /// does not exist and would never give them back.
+    /// The unused buffers, or `None` while another thread holds the lock. It never waits: in a forked child that thread
+    /// does not exist and would never release the lock.
     fn unused(&self) -> Option<MutexGuard<'_, Vec<Vec<f32>>>> {
         match self.0.try_lock() {
             Ok(unused) => Some(unused),
@@ -51,8 +51,8 @@ impl BufferPool {
     }
 }
 
-/// Zeros in memory of which the operating system is asked to make huge pages, where it can: a page is cleared when it is first
-/// written, and 512 small ones take several times as long as one of 2 MiB.
+/// Zeros in memory for which the operating system is advised to use huge pages, if it can. A page is zeroed when it is first
+/// written, and 512 small pages take several times as long as one of 2 MiB.
 fn fresh(length: usize) -> Vec<f32> {
     let values = vec![0.0; length];
     #[cfg(all(target_os = "linux", not(miri)))]
@@ -68,8 +68,8 @@ fn fresh(length: usize) -> Vec<f32> {
     values
 }
 
-/// Zeros whose first ones lie in one huge page, where the operating system makes it, and the place of the first of these. A processor
-/// keeps the addresses of fewer than a hundred small pages at hand.
+/// Zeros, and the index of the first value at the start of a huge page, if the operating system provides these. At least `length`
+/// values follow it. A processor caches the addresses of fewer than a hundred small pages.
 pub(crate) fn in_huge_page(length: usize) -> (Vec<f32>, usize) {
     let page = HUGE_PAGE / size_of::<f32>();
     let values = fresh(length.next_multiple_of(page) + page);
@@ -78,7 +78,7 @@ pub(crate) fn in_huge_page(length: usize) -> (Vec<f32>, usize) {
     (values, first)
 }
 
-/// The size of a huge page of most processors, in bytes.
+/// The size of a huge page on most processors, in bytes.
 const HUGE_PAGE: usize = 2 << 20;
 
 impl Buffer {
@@ -153,7 +153,7 @@ mod tests {
         assert_eq!(*pool.take(1), [0.0]);
         assert_eq!(*pool.take(3), [1.0, 2.0, 3.0]);
         assert_eq!(*pool.take(2), [1.0, 2.0]);
-        // A longer buffer takes the place of one that is nearly as long.
+        // A longer buffer replaces one that is nearly as long.
         let count = || pool.0.lock().unwrap().len();
         assert_eq!(count(), 2);
         drop(pool.take(4));

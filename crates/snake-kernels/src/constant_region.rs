@@ -1,11 +1,11 @@
 //! Tiles that need not be computed, because the volume is constant around them.
 //!
 //! Most voxels of a cloud's volume hold no points. They are zero, and one constant vector after normalisation. A
-//! convolution of constant voxels gives the same output everywhere, unless the zero padding beyond a border reaches in;
-//! then the output depends only on which border is near and how near. So a voxel is *constant* if its value depends only
-//! on its distance from the borders, counted up to `reach` voxels. A convolution keeps a voxel constant if its 27
-//! neighbours are constant, and adds one to the reach. Constant tiles of one kind have equal outputs: one of them is
-//! computed, and the others are copies of it, equal to the last bit.
+//! convolution of constant voxels gives the same output everywhere, unless the zero padding beyond a border is in reach.
+//! There, the output depends only on which border is near and how near it is. So a voxel is *constant* if its value
+//! depends only on its distance from the borders, counted up to `reach` voxels. A convolution keeps a voxel constant if
+//! its 27 neighbours are constant, and adds one to the reach. Constant tiles of one kind have equal outputs: one of them
+//! is computed, and the others are copies of it, equal to the last bit.
 
 use rayon::prelude::*;
 
@@ -16,7 +16,7 @@ pub struct ConstantRegion {
     size: [usize; 3],
     /// Whether each voxel is constant, `[z][y][x]`.
     constant: Vec<bool>,
-    /// Voxels from a border up to which values may differ.
+    /// Constant voxels farther than this from every border have the same value.
     reach: usize,
 }
 
@@ -57,16 +57,16 @@ impl ConstantRegion {
         Self { size, constant, reach: self.reach.div_ceil(2) }
     }
 
-    /// For each constant tile, of `tile` voxels along each axis, the first tile of its kind, which may be itself; `None`
+    /// For each constant tile, of `tile` voxels along each axis, the first tile of its kind, which may be itself. `None`
     /// for the other tiles.
     pub fn originals(&self, tile: usize) -> Vec<Option<u32>> {
         let tiles = self.size.map(|n| n.div_ceil(tile));
-        // All tiles beyond the reach of the borders are of one kind, that of the first of them.
+        // All tiles beyond the reach of the borders are of one kind; it is named by the first of them.
         let kind = |axis: usize, i: usize| {
             let inside = i * tile >= self.reach && (i + 1) * tile + self.reach <= self.size[axis];
             if inside { self.reach.div_ceil(tile) } else { i }
         };
-        // For each kind, by the place of its first tile, the first constant tile.
+        // For each kind, the first constant tile, indexed by the place of the kind's first tile.
         let mut first = vec![None; tiles.iter().product()];
         let original = |number: usize| {
             let place = split(number, tiles);
@@ -78,19 +78,19 @@ impl ConstantRegion {
     }
 }
 
-/// The place along z, y and x of a flat index in a grid.
+/// The position along z, y and x of a flat index in a grid.
 fn split(number: usize, [_, height, width]: [usize; 3]) -> [usize; 3] {
     [number / (height * width), number / width % height, number % width]
 }
 
-/// Whether a condition holds for all voxels of a cube, as far as they lie within the volume.
+/// Whether a condition holds for all voxels of a cube that lie within the volume.
 fn all_of(size: [usize; 3], corner: [usize; 3], length: usize, holds: impl Fn(usize) -> bool) -> bool {
     let [z, y, x] = std::array::from_fn(|axis| corner[axis]..(corner[axis] + length).min(size[axis]));
     z.into_iter().all(|z| y.clone().all(|y| x.clone().all(|x| holds((z * size[1] + y) * size[2] + x))))
 }
 
-/// Fills the tiles of `output`, `[z][y][x][channel]`, that repeat another tile, and adds them to the sums and the sums of
-/// squares of the channels.
+/// Fills the tiles of `output`, `[z][y][x][channel]`, that are copies of another tile, and adds them to the sums and the
+/// sums of squares of the channels.
 pub(crate) fn copy_constant_tiles(
     originals: &[Option<u32>],
     tile: usize,
@@ -101,21 +101,21 @@ pub(crate) fn copy_constant_tiles(
 ) {
     let [_, height, width] = size;
     let tiles = size.map(|n| n.div_ceil(tile));
-    // For each tile the number of its copies.
+    // For each tile, the number of its copies.
     let mut counts = vec![0_u32; originals.len()];
     for (number, &original) in originals.iter().enumerate() {
         if let Some(original) = original.filter(|&original| original as usize != number) {
             counts[original as usize] += 1;
         }
     }
-    // For each tile with copies its place among them.
+    // For each tile that has copies, its position among such tiles.
     let mut places = vec![0_u32; originals.len()];
     let mut num_copied = 0;
     for (place, _) in places.iter_mut().zip(counts.iter()).filter(|(_, count)| **count > 0) {
         *place = num_copied;
         num_copied += 1;
     }
-    // The voxels of each tile with copies; voxels beyond the border are zero and add nothing.
+    // The voxels of each tile that has copies. Voxels beyond the border are zero and add nothing.
     let length = tile.pow(3) * channels;
     let mut values = vec![0.0; num_copied as usize * length];
     let copied = counts.iter().enumerate().filter(|(_, count)| **count > 0);

@@ -1,8 +1,8 @@
-//! Group normalisation as a scale and a shift of each channel, which the convolution applies as it reads.
+//! Group normalisation as a scale and a shift of each channel, which the convolution applies while it reads.
 
 use rayon::prelude::*;
 
-/// The sum and the sum of squares of each channel of a volume `(voxels, channels)`, in float64. Fixed runs of voxels are
+/// The sum and the sum of squares of each channel of a volume `(voxels, channels)`, in float64. Runs of fixed length are
 /// summed in parallel and added in order, so the bits do not depend on the number of threads.
 pub fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
     const RUN: usize = 4096;
@@ -19,7 +19,7 @@ pub fn channel_sums(volume: &[f32], channels: usize) -> Vec<[f64; 2]> {
     add_in_order(&partial, channels)
 }
 
-/// Adds the sums of several runs, `(runs, channels)`, first to last.
+/// Adds the sums of several runs, `(runs, channels)`, from the first to the last.
 pub(crate) fn add_in_order(partial: &[[f64; 2]], channels: usize) -> Vec<[f64; 2]> {
     let mut total = vec![[0.0; 2]; channels];
     for sums in partial.chunks_exact(channels) {

@@ -1,20 +1,20 @@
-//! The arithmetic of [snake-rs](https://crates.io/crates/snake-core): kernels on slices, for every level of instructions
-//! that the processor has.
+//! The arithmetic of [snake-rs](https://crates.io/crates/snake-core): kernels on slices, compiled for each SIMD level of
+//! the processor.
 //!
 //! | kernel | layout |
 //! |---|---|
 //! | [`linear()`] | rows of features `(rows, width)` |
-//! | [`conv3d()`] | volumes `[z][y][x][channel]`; [`GroupNorm`] applied as it reads, ReLU as it writes |
+//! | [`conv3d()`] | volumes `[z][y][x][channel]`; applies [`GroupNorm`] while reading and ReLU while writing |
 //! | [`conv3d_blocks()`] | blocks of a sparse volume `[block][z][y][x][channel]` |
 //! | [`ConstantRegion`] | tiles of a volume that repeat each other, which [`conv3d()`] copies |
 //! | [`relu`], [`max_rows`], [`add_weighted`], [`nearest_row`] | rows of features |
-//! | [`interpolate`], [`interpolate_backward`] | trilinear features of queries, and their gradient |
+//! | [`interpolate`], [`interpolate_backward`] | trilinearly interpolated features of queries, and their gradient |
 //!
 //! Every kernel is written once, as plain loops over the lanes of a register, and compiled once for each [`SimdLevel`].
-//! The tests compare each of them with a textbook version in float64. Work is parallel over outputs, never over a sum, so
+//! The tests compare each kernel with a textbook version in float64. Work is parallel over outputs, never over a sum, so
 //! results have the same bits for any number of threads.
 //!
-//! Only this crate and `snake-capi` have `unsafe` code. A [`SimdLevel`] comes from detection alone, so no safe call
+//! Only this crate and `snake-capi` have `unsafe` code. A [`SimdLevel`] can only come from detection, so no safe call
 //! runs an instruction that the processor lacks.
 //!
 //! ```

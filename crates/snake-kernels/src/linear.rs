@@ -22,18 +22,18 @@ impl PackedLinear {
         Self { inputs, outputs, weights, bias }
     }
 
-    /// Values in a row of input.
+    /// Number of values in an input row.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// Values in a row of output.
+    /// Number of values in an output row.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 }
 
-/// How a linear layer writes its results. Each slice here is as long as the output.
+/// How a linear layer writes its results. Each slice in it is as long as the output.
 #[derive(Debug)]
 pub enum Epilogue<'a> {
     /// Store the results.
@@ -44,7 +44,7 @@ pub enum Epilogue<'a> {
     Add,
     /// Add the results to the output, and write the ReLU of the sums to this slice.
     AddAndRelu(&'a mut [f32]),
-    /// Store a result where this ReLU is positive, and zero elsewhere: the derivative of the ReLU.
+    /// Store a result where this ReLU is positive, and zero elsewhere: the backward pass of the ReLU.
     Mask(&'a [f32]),
     /// Add a result to the output where this ReLU is positive.
     AddMasked(&'a [f32]),
@@ -113,7 +113,7 @@ fn linear_blocks<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
     let sums: [_; BLOCKS] = accumulate_tile(bias, input, layer.inputs, weights);
     for (block, sums) in (block..).zip(sums) {
         let place = row * layer.outputs + block * LANES;
-        // Most blocks are full: a constant number of lanes lets the compiler unroll them.
+        // Most blocks are full: with a constant number of lanes, the compiler can unroll them.
         match layer.outputs - block * LANES {
             LANES.. => finish::<L, ROWS>(sums, place, layer.outputs, LANES, output, epilogue),
             lanes => finish::<L, ROWS>(sums, place, layer.outputs, lanes, output, epilogue),
@@ -131,7 +131,7 @@ fn finish<L: Lanes, const ROWS: usize>(
     output: &mut [f32],
     epilogue: &mut Epilogue,
 ) {
-    // One loop for each case keeps the sums in registers.
+    // One loop per case keeps the sums in registers.
     macro_rules! store_each {
         ($sum:ident, $place:ident, $result:expr) => {
             for r in 0..ROWS {

@@ -1,4 +1,4 @@
-//! Textbook versions of the kernels in float64, and helpers of the tests.
+//! Textbook versions of the kernels in float64, and helpers for the tests.
 
 /// `(rows, inputs)` to `(rows, outputs)`, weights `(outputs, inputs)`.
 pub(crate) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32], input: &[f32]) -> Vec<f32> {
@@ -10,7 +10,7 @@ pub(crate) fn linear(inputs: usize, outputs: usize, weight: &[f32], bias: &[f32]
     (0..rows * outputs).map(|i| value(i / outputs, i % outputs)).collect()
 }
 
-/// Zero border of one voxel around a volume `(D, H, W, channels)`.
+/// Pads a volume `(D, H, W, channels)` with a border of one zero voxel.
 pub(crate) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &[f32]) -> Vec<f32> {
     let mut padded = vec![0.0; (depth + 2) * (height + 2) * (width + 2) * channels];
     for z in 0..depth {
@@ -23,7 +23,7 @@ pub(crate) fn pad([depth, height, width]: [usize; 3], channels: usize, volume: &
     padded
 }
 
-/// Volumes of several sources side by side, upsampled where that is said, then scaled and shifted by channel.
+/// Concatenates the volumes of several sources, upsampling some, then scales and shifts each channel.
 pub(crate) fn normalized(
     [depth, height, width]: [usize; 3],
     sources: &[(usize, bool)],
@@ -112,7 +112,7 @@ impl Random {
     }
 }
 
-/// The cases of a test, or the first few of them under Miri, which needs minutes for a second.
+/// The cases of a test. Under Miri, which takes minutes for a second, only the first few.
 pub(crate) fn cases<T, const N: usize>(all: [T; N], under_miri: usize) -> impl Iterator<Item = T> {
     all.into_iter().take(if cfg!(miri) { under_miri } else { N })
 }

@@ -56,7 +56,7 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
     features: &mut [f32],
 ) {
     for (query, (at, feature)) in corners.iter().zip(features.chunks_exact_mut(channels)).enumerate() {
-        // Rows of different queries lie far apart in memory: fetch the rows of a later query ahead.
+        // Rows of different queries lie far apart in memory, so the rows of a later query are prefetched.
         if let Some(later) = corners.get(query + 8) {
             for &voxel in &later.voxels {
                 for line in (0..channels).step_by(LANES) {
@@ -77,8 +77,8 @@ fn interpolate_body<L: Lanes, const ROWS: usize>(
 }
 
 simd_levels! {
-    /// Propagates `in_feature`, the gradient with respect to the features (queries, channels), back to the queries:
-    /// derivatives along x, y and z, per voxel.
+    /// Propagates `in_feature`, the gradient with respect to the features (queries, channels), back to the queries.
+    /// The results are derivatives along x, y and z, per voxel.
     ///
     /// # Panics
     /// If a corner lies outside the volume.
@@ -119,7 +119,7 @@ fn interpolate_backward_body<L: Lanes, const ROWS: usize>(
     }
 }
 
-/// Sums the lanes pairwise, by halves.
+/// Sums the lanes by adding halves pairwise.
 #[inline(always)]
 fn sum_of_lanes(mut values: [f32; LANES]) -> f32 {
     let mut half = LANES / 2;

@@ -1,10 +1,10 @@
-//! The convolution of a sparse volume: blocks of 4x4x4 voxels. A block is one Winograd tile with M = 4, or eight with M = 2 where the
-//! input is upsampled.
+//! The convolution of a sparse volume of blocks of 4x4x4 voxels. A block is one Winograd tile with M = 4, or eight tiles with
+//! M = 2 if the input is upsampled.
 //!
-//! A volume stores the differences of its voxels from a constant vector, which every voxel far from the points has. So a
-//! voxel without a block is zero, and the padding beyond the last block is exact. A layer computes
-//! `relu(W x + bias) - constant`, where `bias` holds what the constant of its input adds, and `constant = relu(bias)`.
-//! The sums `W x` of several inputs are added one after another: an input needs no memory while the next is made.
+//! A volume stores the differences between its voxels and a constant vector, the value of every voxel far from the
+//! points. So a voxel without a block is zero, and the padding beyond the last block is exact. A layer computes
+//! `relu(W x + bias) - constant`, where `bias` includes what the constant of its input adds, and `constant = relu(bias)`.
+//! The sums `W x` of several inputs are added one after another, so an input needs no memory while the next is computed.
 
 use rayon::prelude::*;
 
@@ -17,43 +17,43 @@ use crate::simd::{LANES, Lanes, load, load_at, simd_levels, store};
 /// Voxels of a block along each axis.
 pub const BLOCK_SIDE: usize = MAX_TILE;
 
-/// Voxels of a block.
+/// Voxels in a block.
 pub const BLOCK_VOXELS: usize = BLOCK_SIDE * BLOCK_SIDE * BLOCK_SIDE;
 
-/// Inputs and points along each axis of the tile of a block, with M = 4.
+/// Inputs and points along each axis of a block's tile, with M = 4.
 const SAME: usize = BLOCK_SIDE + 2;
 
 /// Points along each axis of a tile of an upsampled block, with M = 2.
 const UPSAMPLED: usize = 3;
 
-/// Inputs along each axis that both tiles of an upsampled block read, ...
+/// Different inputs along each axis of the two tiles of an upsampled block.
 const SHARED_INPUTS: usize = 4;
 
-/// ... and the points of both tiles, which share the middle one.
+/// Different points along each axis of these two tiles, which share the middle one.
 const SHARED_POINTS: usize = 2 * UPSAMPLED - 1;
 
-/// Blocks of an upsampled source that are multiplied together: their products stay in the second-level cache.
+/// Blocks of an upsampled source in one batch of multiplications: their products stay in the second-level cache.
 const BATCH_UPSAMPLED: usize = 4;
 
 /// The input volume of a convolution of blocks.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockSource<'a> {
-    /// Values `[block][z][y][x][channel]`. Block 0 stands for every missing block and is zero; so do numbers beyond the last
-    /// block.
+    /// Values `[block][z][y][x][channel]`. Block 0 is zero and stands for every missing block. Numbers beyond the last block
+    /// mean block 0, too.
     pub values: &'a [f32],
     /// Channels of this volume.
     pub channels: usize,
-    /// For each output block the blocks of this volume about it, x fastest; if this volume is upsampled, those about the block
-    /// that covers the output block.
+    /// For each output block, the 27 blocks of this volume around it, x fastest. If this volume is upsampled, those around
+    /// the block that covers the output block.
     pub neighbors: &'a [[u32; 27]],
-    /// The half of the covering block in which each output block lies, if this volume is upsampled by two; bit 0 is x, bit 1
-    /// is y, bit 2 is z.
+    /// For each output block, in which half of the covering block it lies, if this volume is upsampled by two; bit 0 is x,
+    /// bit 1 is y, bit 2 is z.
     pub halves: Option<&'a [u8]>,
 }
 
 impl BlockSource<'_> {
-    /// Where the values about an output block lie: COUNT voxels along each axis, from the one before the block on. A voxel of an
-    /// upsampled volume counts once.
+    /// The addresses of the values around an output block: COUNT voxels along each axis, beginning one voxel before the block. If
+    /// the volume is upsampled, these are its coarse voxels, each once.
     #[inline(always)]
     fn about<const COUNT: usize>(&self, output: usize) -> About<COUNT> {
         let size = BLOCK_VOXELS * self.channels;
@@ -72,17 +72,17 @@ impl BlockSource<'_> {
     }
 }
 
-/// Where the values about an output block lie.
+/// The addresses of the values around an output block.
 struct About<const COUNT: usize> {
-    /// Where the values of each block about it begin, `[yx][z]`; those of block 0 for blocks that have none.
+    /// The first value of each block around it, `[yx][z]`; missing blocks have that of block 0.
     starts: [[usize; 3]; 9],
-    /// The first voxel along x, y and z, counted from the first one of the lower neighbours. Only upsampled blocks differ in it.
+    /// The first voxel along x, y and z, counted from the first voxel of the lower neighbour. It varies only for upsampled blocks.
     first: [usize; 3],
     channels: usize,
 }
 
 impl<const COUNT: usize> About<COUNT> {
-    /// Where the values of the voxels at these places along x and y begin.
+    /// The first value of each voxel along z, at this position along x and y.
     #[inline(always)]
     fn along_z(&self, x: usize, y: usize) -> [usize; COUNT] {
         let first = if COUNT == SAME { [BLOCK_SIDE - 1; 3] } else { self.first };
@@ -101,17 +101,17 @@ impl<const COUNT: usize> About<COUNT> {
 /// The arguments of [`conv3d_blocks`].
 #[derive(Debug, Clone, Copy)]
 pub struct BlockConv3d<'a> {
-    /// Weights of this input, by [`PackedConv3d::for_blocks`].
+    /// Weights for this input, from [`PackedConv3d::for_blocks`].
     pub layer: &'a PackedConv3d,
     /// The input volume.
     pub source: BlockSource<'a>,
-    /// Whether the output holds the sums of other inputs, to which those of this one are added.
+    /// Whether the output holds the sums of other inputs, to which this input's sums are added.
     pub adds: bool,
-    /// What follows the last input's sums.
+    /// The activation after the last input's sums.
     pub activation: Option<BlockActivation<'a>>,
 }
 
-/// The end of a layer, for each output channel.
+/// The activation of a layer, for each output channel.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockActivation<'a> {
     /// Added before the ReLU.
@@ -120,14 +120,14 @@ pub struct BlockActivation<'a> {
     pub constant: &'a [f32],
 }
 
-/// Convolves blocks with their neighbours, and adds the bias, applies the ReLU and subtracts the constant where they are given.
-/// `output` holds the output blocks `[block][z][y][x][channel]`, without a block for the missing ones.
+/// Convolves blocks with their neighbours. If an activation is given, adds the bias, applies the ReLU and subtracts the constant.
+/// `output` holds the output blocks `[block][z][y][x][channel]`, without block 0.
 ///
-/// `stop` is asked before each batch of blocks. Once it says true, the remaining ones are left out, and the output is not
-/// to be used.
+/// `stop` is called before each batch of blocks. Once it returns true, the remaining batches are skipped and the output
+/// must not be used.
 ///
 /// # Panics
-/// If the layer is not one of [`PackedConv3d::for_blocks`] for this source, or a slice is shorter than the sizes say.
+/// If the layer is not from [`PackedConv3d::for_blocks`] for this source, or a slice is shorter than the sizes say.
 pub fn conv3d_blocks(level: SimdLevel, conv: &BlockConv3d, stop: &(dyn Fn() -> bool + Sync), output: &mut [f32]) {
     let BlockConv3d { layer, source, .. } = conv;
     assert_eq!(layer.tile == 2, source.halves.is_some(), "upsampled blocks have tiles of 2");
@@ -154,7 +154,7 @@ fn batch_of_blocks_body<L: Lanes, const ROWS: usize>(
     output: &mut [f32],
 ) {
     if conv.layer.tile == 2 {
-        // Eight tiles a block.
+        // Eight tiles per block.
         for (number, output) in output.chunks_mut(BATCH_UPSAMPLED * BLOCK_VOXELS * conv.layer.outputs).enumerate() {
             tiles_of_blocks::<L, ROWS, UPSAMPLED>(token, conv, buffers, first + number * BATCH_UPSAMPLED, output);
         }
@@ -206,7 +206,7 @@ fn tiles_of_blocks<L: Lanes, const ROWS: usize, const POINTS: usize>(
                     for (z, value) in outputs_of_axis(column).into_iter().enumerate().take(side) {
                         let voxel = first_voxel + (z * BLOCK_SIDE + y) * BLOCK_SIDE + x;
                         let output = &mut output[voxel * layer.outputs + out * LANES..];
-                        // The next block's.
+                        // Prefetches the output of the next block.
                         L::prefetch(output.as_ptr().wrapping_add(BLOCK_VOXELS * layer.outputs));
                         let value = if adds { value.add(load(token, output, lanes)) } else { value };
                         let value = match terms {
@@ -221,7 +221,7 @@ fn tiles_of_blocks<L: Lanes, const ROWS: usize, const POINTS: usize>(
     }
 }
 
-/// So many output blocks from the first one on.
+/// `number` output blocks, from `first` on.
 struct BlocksFrom<'a> {
     conv: &'a BlockConv3d<'a>,
     first: usize,
@@ -253,7 +253,7 @@ impl Gather for BlocksFrom<'_> {
 }
 
 impl BlocksFrom<'_> {
-    /// Transforms so many inputs along each axis, to so many values.
+    /// Transforms INPUTS inputs along each axis to POINTS values.
     #[inline(always)]
     fn transform_about<L: Lanes, const INPUTS: usize, const POINTS: usize>(
         &self,
@@ -265,7 +265,7 @@ impl BlocksFrom<'_> {
         let source = &self.conv.source;
         let zero = L::splat(token, 0.0);
         let tiles = if INPUTS == SAME { 1 } else { 8 };
-        // `[x][z][y]`, and the values along z of one x.
+        // `[x][z][y]`, and the values along z at one x.
         let mut columns = [[[zero; POINTS]; POINTS]; INPUTS];
         let mut rows = [[zero; POINTS]; INPUTS];
         let mut next = source.about::<INPUTS>(self.first);
@@ -312,7 +312,7 @@ mod tests {
     use super::*;
     use crate::naive;
 
-    /// All blocks of a volume of `blocks` blocks a side, with zeros in the missing block 0, and their neighbours.
+    /// All blocks of a volume with `blocks` blocks along each side, zeros in block 0, and their neighbours.
     struct Whole {
         blocks: usize,
     }
@@ -338,7 +338,7 @@ mod tests {
             places.map(about).collect()
         }
 
-        /// Values `[z][y][x][channel]` block by block.
+        /// Converts values `[z][y][x][channel]` to the order of blocks.
         fn blocked(&self, channels: usize, volume: &[f32]) -> Vec<f32> {
             let side = self.blocks * BLOCK_SIDE;
             let mut values = vec![0.0; (1 + self.blocks.pow(3)) * BLOCK_VOXELS * channels];

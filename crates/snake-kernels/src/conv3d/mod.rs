@@ -15,7 +15,7 @@
 //! the N³ points are a matrix product. Larger tiles need more transformed weights, so small volumes use the small tiles.
 //!
 //! A coarser input that is upsampled by two is read in place. With M = 2 it has d1 = d2, so V2 = 0 along every axis and 27
-//! of the 64 points remain: of four upsampled outputs, as many as with M = 4, with an eighth of the weights.
+//! of the 64 points remain. A block of 4x4x4 outputs needs as many products as with M = 4, but an eighth of the weights.
 
 mod blocks;
 mod pack;
@@ -40,11 +40,11 @@ use self::pack::{BLOCK, Block, points};
 use self::products::multiply;
 use self::transform::{MAX_TILE, Partial, transform_inputs, transform_outputs};
 
-/// For M = 4 the points beside 0 and infinity are plus and minus these.
+/// With M = 4, the points other than 0 and infinity are plus and minus these two.
 const NEAR: f64 = 11.0 / 16.0;
 const FAR: f64 = 23.0 / 16.0;
 
-/// One input volume of a convolution. The channels of several sources follow each other.
+/// One input volume of a convolution. The channels of several sources are concatenated.
 #[derive(Debug, Clone, Copy)]
 pub struct Source<'a> {
     /// Values `[z][y][x][channel]`; half the output's size along each axis if the volume is upsampled.
@@ -68,21 +68,21 @@ pub struct Conv3d<'a> {
     pub scale: &'a [f32],
     /// Offset of each input channel, added after the factor.
     pub shift: &'a [f32],
-    /// For each tile the tile that it repeats, as [`ConstantRegion::originals`](crate::ConstantRegion::originals) gives
-    /// it. Empty: every tile is computed.
+    /// For each tile, the tile of which it is a copy, from [`ConstantRegion::originals`](crate::ConstantRegion::originals).
+    /// Empty: every tile is computed.
     pub originals: &'a [Option<u32>],
 }
 
-/// One task's share of the output: the rows of tiles from `row` on, in the tile plane `plane`.
+/// The part of the output that one task computes: the rows of tiles from `row` on, in the tile plane `plane`.
 struct Task<'a> {
     plane: usize,
     row: usize,
-    /// M planes of voxels; those beyond the end of the volume are empty. Each slice holds the rows of this task.
+    /// M planes of voxels; planes beyond the end of the volume are empty. Each slice holds the rows of this task.
     planes: [&'a mut [f32]; MAX_TILE],
 }
 
 impl Task<'_> {
-    /// Divides a task after so many rows, which have `share` values in each plane of voxels.
+    /// Splits a task after `rows` rows of tiles, which have `share` values in each plane of voxels.
     fn split(self, rows: usize, share: usize) -> [Self; 2] {
         let mut rest: [&mut [f32]; MAX_TILE] = Default::default();
         let mut first = self.planes;
@@ -102,16 +102,16 @@ struct Buffers {
     tiles: Vec<[usize; 2]>,
 }
 
-/// Memory of transformed inputs and of products, whose points lie far apart: in small pages each would wait for its address.
+/// Memory of transformed inputs and products. Their points lie far apart: in small pages, each access would wait for its address.
 #[derive(Default)]
 struct Values {
     memory: Vec<f32>,
-    /// Where the huge page begins.
+    /// The index at which the huge page begins.
     first: usize,
 }
 
 impl Values {
-    /// So many inputs and products. Old contents stay where the memory is long enough.
+    /// Slices for so many inputs and products. Old contents stay if the memory is long enough.
     fn parts(&mut self, inputs: usize, products: usize) -> [&mut [f32]; 2] {
         if self.memory.len() < self.first + inputs + products {
             (self.memory, self.first) = in_huge_page(inputs + products);
@@ -122,15 +122,15 @@ impl Values {
 }
 
 thread_local! {
-    /// Kept between tasks: fresh memory costs more than the arithmetic on it.
+    /// Kept between tasks, because new memory costs more than the arithmetic on it.
     static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
 /// Normalises the sources (`value * scale + shift`), pads them with zeros, convolves and applies the ReLU. `output` is
 /// `[z][y][x][channel]`. Returns the sum and the sum of squares of each output channel, in float64 and in a fixed order.
 ///
-/// `stop` is asked before each of the many parts of the work. Once it says true, the remaining parts are left out, and
-/// output and sums are not to be used.
+/// `stop` is called before each of the many parts of the work. Once it returns true, the remaining parts are skipped, and
+/// output and sums must not be used.
 ///
 /// # Panics
 /// If a slice is shorter than the sizes say.
@@ -140,7 +140,7 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync),
     let plane = height * width * layer.outputs;
     let tile_rows = height.div_ceil(layer.tile);
     let batch = if layer.tile == 2 { BATCH_2 } else { BATCH_4 };
-    // Where many tiles are copies, a task spans more rows to find enough tiles to compute.
+    // If many tiles are copies, a task spans more rows to find enough tiles to compute.
     let rows_factor = if originals.is_empty() { 1 } else { 4 };
     let rows = (rows_factor * batch / width.div_ceil(layer.tile)).clamp(1, tile_rows);
     let share = layer.tile * rows * width * layer.outputs;
@@ -164,7 +164,7 @@ pub fn conv3d(level: SimdLevel, conv: &Conv3d, stop: &(dyn Fn() -> bool + Sync),
     sums
 }
 
-/// Runs a task in parts of `rows` rows of tiles, which have `share` values in each plane of voxels and `outputs` sums.
+/// Runs a task in parts of `rows` rows of tiles, with `share` values in each plane of voxels and `outputs` sums each.
 fn divide(
     task: Task,
     sums: &mut [[f64; 2]],
@@ -182,7 +182,7 @@ fn divide(
     rayon::join(|| divide(first, sums_of_first, outputs, part, run), || divide(rest, sums_of_rest, outputs, part, run));
 }
 
-/// Tiles that are multiplied together, for M = 2 and M = 4: their transforms stay in the second-level cache.
+/// Tiles that are multiplied together, with M = 2 and M = 4: their transforms stay in the second-level cache.
 const BATCH_2: usize = 32;
 const BATCH_4: usize = 24;
 
@@ -242,12 +242,12 @@ fn conv3d_tiles<L: Lanes, const ROWS: usize, const N: usize>(
     }
 }
 
-/// The tiles of a batch, wherever their inputs lie.
+/// Reads the inputs of the tiles of a batch, from a dense or a sparse volume.
 trait Gather {
-    /// Transforms the block's input channels of each tile to V. `to` holds `pitch` values for each point, the block's width for each tile.
+    /// Transforms the block's input channels of each tile to V. `to` has `pitch` values per point, and the block's width per tile.
     fn transform<L: Lanes, const N: usize>(&self, token: L::Token, block: &Block, to: &mut [f32], pitch: usize);
 
-    /// Fetches one of so many equal parts of what the next batch reads.
+    /// Prefetches one of `_parts` equal parts of the inputs of the next batch.
     #[inline(always)]
     fn fetch_ahead<L: Lanes>(&self, _part: usize, _parts: usize) {}
 }
@@ -268,7 +268,7 @@ impl Gather for TilesOfPlane<'_> {
     }
 }
 
-/// The products of a batch of tiles at all points, `[point][output block][tile][lane]`, and the distance of two points.
+/// The products of a batch of tiles at all points, `[point][output block][tile][lane]`, and the stride between points.
 #[inline(always)]
 fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
     token: L::Token,
@@ -279,7 +279,7 @@ fn multiply_tiles<'a, L: Lanes, const ROWS: usize, const N: usize>(
 ) -> (&'a [f32], usize) {
     let output_blocks = layer.outputs.div_ceil(LANES);
     let padded_tiles = num_tiles.next_multiple_of(ROWS);
-    // One cache line more keeps the points out of the same cache sets.
+    // One additional cache line keeps the points out of the same cache sets.
     let product_pitch = padded_tiles * LANES + LANES;
     let num_inputs = N * N * N * (padded_tiles * BLOCK + LANES);
     let [inputs, products] = values.parts(num_inputs, N * N * N * output_blocks * product_pitch);

@@ -3,10 +3,10 @@
 use super::{FAR, NEAR};
 use crate::simd::LANES;
 
-/// Input channels of one matrix product, at most.
+/// Maximum number of input channels of one matrix product.
 pub(super) const BLOCK: usize = 2 * LANES;
 
-/// Up to BLOCK channels of one source.
+/// Up to `BLOCK` channels of one source.
 #[derive(Debug)]
 pub(super) struct Block {
     pub(super) source: usize,
@@ -19,7 +19,7 @@ pub(super) struct Block {
 }
 
 impl Block {
-    /// Values of one tile at one point: whole lanes.
+    /// Number of values of one tile at one point, in whole registers.
     pub(super) fn width(&self) -> usize {
         self.channels.next_multiple_of(LANES)
     }
@@ -34,7 +34,7 @@ pub struct PackedConv3d {
     pub(super) blocks: Vec<Block>,
 }
 
-/// The points of a source: all N³. With N = 4, an upsampled source has only those without a 2 along any axis.
+/// The points of a source: all N³. With N = 4, an upsampled source has only those whose index is not 2 along any axis.
 pub(super) fn points(n: usize, upsampled: bool) -> impl Iterator<Item = usize> {
     let skip = upsampled && n == 4;
     (0..n * n * n).filter(move |p| !skip || [p / 16, p / 4 % 4, p % 4].iter().all(|&k| k != 2))
@@ -46,7 +46,7 @@ type Tap = [f64; LANES];
 /// Transforms LANES filters along an axis to U: N values, `step` apart.
 #[inline(always)]
 fn transform_axis(n: usize, [a, b, c]: [&Tap; 3], values: &mut [Tap], step: usize) {
-    // The filter's polynomial at a point is divided by the distances of this point from the other finite points.
+    // The filter's polynomial at a point is divided by the distances between this point and the other finite points.
     const NEAR_2: f64 = NEAR * NEAR;
     const FAR_2: f64 = FAR * FAR;
     const SCALE_ZERO: f64 = 1.0 / (NEAR_2 * FAR_2);
@@ -67,7 +67,7 @@ fn transform_axis(n: usize, [a, b, c]: [&Tap; 3], values: &mut [Tap], step: usiz
     }
 }
 
-/// Transforms LANES filters of 3x3x3 taps in the order z, y, x along all axes, to the first N³ points `[z][y][x]`.
+/// Transforms LANES filters of 3x3x3 taps, ordered z, y, x, along all axes to the first N³ points `[z][y][x]` of `values`.
 fn transform_filters(n: usize, taps: &[Tap; 27], values: &mut [[f32; LANES]; 216]) {
     // `[x][z][y]`, `[x][y][z]` and the points along z.
     let (mut rows, mut planes, mut column) = ([[0.0; LANES]; 54], [[0.0; LANES]; 108], [[0.0; LANES]; 6]);
@@ -101,7 +101,7 @@ impl PackedConv3d {
         let inputs: usize = sources.iter().map(|s| s.0).sum();
         let n = tile + 2;
         let output_blocks = outputs.div_ceil(LANES);
-        // The filters of one input and the LANES outputs of a block; outputs beyond the last have zeros.
+        // The filters from one input to the LANES outputs of a block; outputs beyond the last are zero.
         let taps = |output_block: usize, input: usize| -> [Tap; 27] {
             std::array::from_fn(|tap| {
                 std::array::from_fn(|lane| match output_block * LANES + lane {
@@ -115,7 +115,7 @@ impl PackedConv3d {
         for (source, &(channels, upsampled)) in sources.iter().enumerate() {
             for first in (0..channels).step_by(BLOCK) {
                 let width = BLOCK.min(channels - first);
-                // On this thread alone: loading a model must not start Rayon's global pool.
+                // Runs on this thread only: loading a model must not start Rayon's global pool.
                 let filters = output_blocks * width;
                 let mut weights = vec![[0.0; LANES]; points(n, upsampled).count() * filters];
                 let mut transformed = [[0.0; LANES]; 216];
@@ -132,7 +132,7 @@ impl PackedConv3d {
         Self { outputs, tile, blocks }
     }
 
-    /// Transforms weights as [`PackedConv3d::new`] does, to one convolution of blocks for each source, whose sums are added.
+    /// Transforms weights like [`PackedConv3d::new`], into one convolution of blocks per source, whose sums are added.
     ///
     /// # Panics
     /// If there are fewer weights than the shape says.
@@ -143,7 +143,7 @@ impl PackedConv3d {
         for &(channels, upsampled) in sources {
             let filters = weight.chunks_exact(27 * inputs);
             let part: Vec<f32> = filters.flat_map(|filter| &filter[27 * before..][..27 * channels]).copied().collect();
-            // Small tiles of an upsampled source need as many products as large ones, and an eighth of the weights.
+            // Small tiles of an upsampled source need as many products as large ones, but an eighth of the weights.
             parts.push(Self::new(&[(channels, upsampled)], outputs, &part, if upsampled { 2 } else { 4 }));
             before += channels;
         }

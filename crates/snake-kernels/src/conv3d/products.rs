@@ -2,8 +2,8 @@
 
 use crate::simd::{LANES, Lanes, accumulate_tile};
 
-/// `products (tiles, LANES) += inputs (tiles, width) weights (channels, LANES)`; `fresh` starts the sums at zero. The weights of
-/// the `next` product are fetched meanwhile: all weights together fill the second-level cache.
+/// `products (tiles, LANES) += inputs (tiles, width) weights (channels, LANES)`; `fresh` starts the sums at zero. Meanwhile it
+/// prefetches the weights of the `next` product, because all weights together fill the second-level cache.
 #[inline(always)]
 pub(super) fn multiply<L: Lanes, const ROWS: usize>(
     token: L::Token,

@@ -1,7 +1,7 @@
-//! Transforms of tiles: inputs before the products, products to outputs.
+//! Transforms of tiles: inputs to V before the products, and products to outputs.
 //!
-//! The bodies of kernels are loops and functions marked for inlining: a closure would be compiled without the level's
-//! instructions.
+//! The bodies of kernels are loops and functions marked for inlining, because a closure would be compiled without the
+//! instructions of the level.
 
 use super::pack::Block;
 use super::{Conv3d, FAR, NEAR, Task, TilesOfPlane};
@@ -10,8 +10,8 @@ use crate::simd::{LANES, Lanes, load, load_at, store, store_at};
 /// The largest M.
 pub(super) const MAX_TILE: usize = 4;
 
-/// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` holds `pitch` values for each
-/// point, the block's width for each tile.
+/// Transforms LANES input channels of the tiles `[row, x]` of one plane of tiles to V. `to` has `pitch` values per point,
+/// of which each tile has the block's width.
 ///
 /// A column of inputs is transformed along z and y once, for all tiles along x that share it.
 #[inline(always)]
@@ -29,7 +29,7 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     let [first, global] = block.first.map(|first| first + half * LANES);
     let norm = [load::<L>(token, &scale[global..], lanes), load::<L>(token, &shift[global..], lanes)];
     let values = &source.values[first..];
-    // Two neighbours of an upsampled volume are one voxel.
+    // In an upsampled volume, two neighbouring voxels are one stored voxel.
     let shift = usize::from(source.upsampled);
     let [height, width] = [size[1] >> shift, size[2] >> shift];
     let zero = L::splat(token, 0.0);
@@ -37,7 +37,7 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     let mut rows = [[zero; N]; N];
     let mut previous = None;
     for (tile, &[row, x]) in tiles.iter().enumerate() {
-        // Where each line along x begins; `None` beyond the border.
+        // The start of each line along x; `None` beyond the border.
         let mut lines = [[None; N]; N];
         for (j, lines) in lines.iter_mut().enumerate() {
             for (k, line) in lines.iter_mut().enumerate() {
@@ -69,7 +69,7 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
                     *value = zero;
                     if let Some(line) = line {
                         let values = &values[line + from..];
-                        // The first half of the block's channels fetches ahead for both halves.
+                        // The first half of the block's channels prefetches for both halves.
                         if half == 0 {
                             let ahead = values.as_ptr().wrapping_add((N >> shift) * source.channels);
                             L::prefetch(ahead);
@@ -92,8 +92,8 @@ pub(super) fn transform_inputs<L: Lanes, const N: usize>(
     }
 }
 
-/// Transforms columns of inputs `[x][z][y]`, which are transformed along z and y, along x, and stores the points `pitch` apart: those of
-/// one tile, or those of the eight tiles of an upsampled block, `width` apart.
+/// Transforms columns of inputs `[x][z][y]`, already transformed along z and y, along x. Stores the points `pitch` apart: those of one
+/// tile, or of the eight tiles of an upsampled block, which are `width` apart.
 #[inline(always)]
 pub(super) fn store_points<L: Lanes, const INPUTS: usize, const POINTS: usize>(
     columns: &[[[L; POINTS]; POINTS]; INPUTS],
@@ -115,7 +115,7 @@ pub(super) fn store_points<L: Lanes, const INPUTS: usize, const POINTS: usize>(
             let values: [L; POINTS] = inputs_of_axis(along_x);
             for tile in 0..tiles * tiles * tiles {
                 let [tile_z, tile_y, tile_x] = [tile / (tiles * tiles), tile / tiles % tiles, tile % tiles];
-                // The second tile begins at the middle one of five points.
+                // The second tile begins at the middle one of the five points.
                 let [point_z, point_y] = [z.wrapping_sub(2 * tile_z), y.wrapping_sub(2 * tile_y)];
                 if point_z < points && point_y < points {
                     for x in 0..points {
@@ -129,14 +129,14 @@ pub(super) fn store_points<L: Lanes, const INPUTS: usize, const POINTS: usize>(
     }
 }
 
-/// Outputs of a tile along an axis, from N products. Upsampled inputs of tiles of 2 have three points: (d0, d1, d1, d2) makes V2 zero.
+/// Outputs of a tile along an axis, from N products. Upsampled tiles of 2 have three points, because (d0, d1, d1, d2) makes V2 zero.
 pub(super) const fn tile_of(n: usize) -> usize {
     if n == 3 { 2 } else { n - 2 }
 }
 
-/// Partly transformed outputs of one tile. They are kept from tile to tile, because to clear them takes time.
+/// Partly transformed outputs of one tile, kept from tile to tile because clearing them takes time.
 pub(super) struct Partial<L, const N: usize> {
-    /// Transformed along x, of one z.
+    /// Transformed along x, at one z.
     rows: [[L; MAX_TILE]; N],
     /// Transformed along x and y.
     pub(super) planes: [[[L; MAX_TILE]; MAX_TILE]; N],
@@ -178,7 +178,7 @@ impl<L: Lanes, const N: usize> Partial<L, N> {
 }
 
 /// Writes the outputs of the tile at `[row, x]` of the task, for the block of channels `out` and after the ReLU, and adds
-/// them to the sums. The products of the points are `pitch` apart.
+/// them to the sums. The products are `pitch` apart from point to point.
 #[inline(always)]
 pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     conv: &Conv3d,
@@ -219,8 +219,8 @@ pub(super) fn transform_outputs<L: Lanes, const N: usize>(
     }
 }
 
-/// Transforms inputs along an axis to V: four or six of one tile, or the four different ones of two tiles of 2 of an upsampled
-/// source, which share the middle one of five values.
+/// Transforms the inputs along an axis to V: the four or six inputs of one tile, or the four different inputs of two tiles of 2
+/// of an upsampled source. These two tiles share the middle one of five values.
 #[inline(always)]
 pub(super) fn inputs_of_axis<L: Lanes, const INPUTS: usize, const POINTS: usize>(d: [L; INPUTS]) -> [L; POINTS] {
     let token = d[0].token();

@@ -1,4 +1,4 @@
-//! The registers of each level, and the tokens without which nobody makes a value of them.
+//! The SIMD registers of each level, and the tokens that are needed to make a value of them.
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::x86_64::{
@@ -8,19 +8,19 @@ use std::arch::x86_64::{
 
 use super::LANES;
 
-/// LANES numbers in the registers of a level. Whoever makes one shows the token of the level, which detection alone gives.
+/// LANES numbers in the registers of a level. Making them requires the token of the level, which only detection gives.
 pub(crate) trait Lanes: Copy {
     /// The proof that this processor has the instructions. It takes no memory.
     type Token: Copy;
     /// Whether multiply-adds round once.
     const FUSED: bool;
-    /// Rows whose sums fit into the registers, beside a row of weights.
+    /// Number of rows whose sums fit into the registers, together with a row of weights.
     const ROWS: usize;
-    /// Whether the sums of two blocks of outputs for so many rows fit as well.
+    /// Whether the sums of two blocks of outputs for that many rows fit as well.
     const PAIRS: bool = false;
     fn load(token: Self::Token, values: &[f32; LANES]) -> Self;
     fn splat(token: Self::Token, value: f32) -> Self;
-    /// The token by which these lanes were made.
+    /// The token with which these lanes were made.
     fn token(self) -> Self::Token;
     /// `self * factor + addend`.
     fn multiply_add(self, factor: Self, addend: Self) -> Self;
@@ -115,7 +115,7 @@ fn mask_positive_512(value: __m512, condition: __m512) -> __m512 {
     _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(condition, _mm512_setzero_ps()), value)
 }
 
-/// Defines the operations of [`Lanes`] that combine registers one by one.
+/// Defines the operations of [`Lanes`] that work register by register.
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 macro_rules! register_operations {
     ($(fn $name:ident($($other:ident),*) = $operation:expr;)*) => {
@@ -133,7 +133,7 @@ macro_rules! register_operations {
     };
 }
 
-/// Defines a [`Lanes`] of `$count` registers of a level.
+/// Defines a [`Lanes`] type with `$count` registers of a level.
 #[cfg(target_arch = "x86_64")]
 macro_rules! x86_lanes {
     ($name:ident, $token:ident, $detected:expr, $register:ty, $count:literal, $rows:literal,

@@ -1,4 +1,4 @@
-//! Levels of instructions, and the microkernel that convolutions and linear layers share.
+//! SIMD levels, and the microkernel that convolutions and linear layers share.
 
 mod lanes;
 mod level;
@@ -7,11 +7,11 @@ pub(crate) use lanes::*;
 pub use level::SimdLevel;
 pub(crate) use level::*;
 
-/// Output channels that a microkernel holds at a time; weights are packed in blocks of this many.
+/// Number of output channels in a microkernel; weights are packed in blocks of this size.
 pub(crate) const LANES: usize = 16;
 
 /// Compiles `$body::<L, ROWS>(token, args)` for the [`Lanes`] of each level, and defines `$name(level, args)`, which calls the
-/// version of the level.
+/// version for the given level.
 macro_rules! simd_levels {
     ($(#[$doc:meta])* $visibility:vis fn $name:ident($($argument:ident: $kind:ty),* $(,)?) = $body:ident) => {
         $(#[$doc])*
@@ -42,8 +42,8 @@ macro_rules! simd_levels {
 }
 pub(crate) use simd_levels;
 
-/// `sums[b][r] += input[r * stride ..][.. weights[b].len()] * weights[b]` for ROWS rows and BLOCKS blocks of output channels, whose
-/// weights are equally long. Each input is read once for all blocks.
+/// `sums[b][r] += input[r * stride ..][.. weights[b].len()] * weights[b]` for ROWS rows and BLOCKS blocks of output channels. The
+/// weights of all blocks have the same length. Each input is read once for all blocks.
 #[inline(always)]
 pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
     mut sums: [[L; ROWS]; BLOCKS],
@@ -64,7 +64,7 @@ pub(crate) fn accumulate_tile<L: Lanes, const ROWS: usize, const BLOCKS: usize>(
             }
         }
     };
-    // Equal lengths, and four at a time, so that indices are checked and the addresses of the rows computed once for them.
+    // Weights have equal lengths and are taken four at a time, so indices are checked and row addresses computed once per four.
     let weights = weights.map(|weights| weights[..length].as_chunks::<4>());
     for number in 0..length / 4 {
         let fours = weights.map(|(fours, _)| &fours[number]);

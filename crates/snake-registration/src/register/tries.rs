@@ -223,8 +223,8 @@ impl<'a, 'p> Search<'a, 'p> {
         Ok(registration)
     }
 
-    /// The tries by matches on finer voxels, with the best result so far as a further guess. If they find the
-    /// transform of the single matches, they confirm it.
+    /// The tries by matches on voxels of a third of the side. The best result so far is one of the guesses. If they
+    /// find the transform of the single matches, they confirm it.
     fn on_finer_voxels(&self, tried: &mut Tried) -> Result<Registration> {
         let none = || Error::NoTransform { reason: "the clouds are not finer than their voxels".into() };
         let (given, level) = self.given.ok_or_else(none)?;
