@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::{shortened, shortened_value};
 
-/// An error. Its text gives the way out.
+/// An error. Its text says what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -1,9 +1,9 @@
-//! The ground of snake-rs: point clouds and what can be said of them without a network.
+//! The base of snake-rs: point clouds and their analysis without a network.
 //!
 //! ```text
 //! source/     other programs' clouds → points      transform/  rigid transforms, rotations
 //! clouds/     points, lengths, outliers, results    near/       neighbours
-//! text/       words of errors that are safe to show subset/     suppression, samples
+//! text/       text that is safe to show in errors   subset/     suppression, samples
 //! ```
 //!
 //! | question | structure |

@@ -1,5 +1,5 @@
-//! Results that are declared and documented once: from a struct follow its JSON and a [`RecordInfo`], from which other languages
-//! take classes, types and documentation.
+//! Results that are declared and documented once: a struct gives its JSON and a [`RecordInfo`], from which other languages
+//! derive classes, types and documentation.
 
 use crate::RigidTransform;
 

@@ -1,4 +1,4 @@
-//! Setters of the options structs, which other crates cannot build field by field.
+//! Setters for the options structs, which other crates cannot build field by field.
 
 /// Gives an options struct one setter for each field listed:
 /// `setters!(Options { radius: f64 => with_radius })`.

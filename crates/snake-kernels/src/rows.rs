@@ -1,4 +1,4 @@
-//! Sums, maxima and ReLUs of rows of features. Each is a plain loop, so all levels give the same bits.
+//! Sums, maxima and ReLUs of feature rows. Each is a plain loop, so all levels give the same bits.
 
 use crate::simd::{Lanes, simd_levels};
 
@@ -13,8 +13,8 @@ fn relu_body<L: Lanes, const ROWS: usize>(_: L::Token, input: &[f32], output: &m
 }
 
 simd_levels! {
-    /// Replaces the rows of `maxima`, of `width` values each, by the larger of themselves and of the `features` rows that
-    /// belong to them: row i of the features belongs to row `targets[i]`.
+    /// Updates the rows of `maxima`, of `width` values each: row `targets[i]` becomes the element-wise maximum of itself and
+    /// row i of `features`.
     ///
     /// # Panics
     /// If a target is not a row of `maxima`.
@@ -36,8 +36,8 @@ fn max_rows_body<L: Lanes, const ROWS: usize>(
 }
 
 simd_levels! {
-    /// Adds to eight rows of `sums`, the rows `targets`, one feature times the weight of each row. A row of `sums` is one
-    /// value longer than the feature: the last one is the sum of the weights.
+    /// Adds one feature, times the weight of each row, to the eight rows `targets` of `sums`. A row of `sums` is one value
+    /// longer than the feature; the last value is the sum of the weights.
     ///
     /// # Panics
     /// If a target is not a row of `sums`.

@@ -38,7 +38,7 @@ impl Cloud {
         points
     }
 
-    /// The cloud for encoding. With a [fixed](NormalizationMethod::is_fixed) normalisation coordinates are those of the
+    /// The cloud for encoding. With a [fixed](NormalizationMethod::is_fixed) normalisation, the coordinates are those of the
     /// network's frame or twice those, so the origin is added to the points.
     #[must_use]
     pub fn for_normalization(self, method: NormalizationMethod) -> Self {
@@ -56,16 +56,16 @@ pub fn subtract_origin(position: [f64; 3], origin: [f64; 3]) -> Point {
     std::array::from_fn(|axis| (position[axis] - origin[axis]) as f32)
 }
 
-/// The distance from zero, in sizes of the cloud, above which an origin is subtracted. At this distance an `f32` has
-/// about 20 bits for the position within the cloud.
+/// A cloud gets an origin if its distance from zero is more than this many times its size. At this distance, an `f32`
+/// has about 20 bits for the position within the cloud.
 const FAR: f64 = 16.0;
 
-/// The bounds of finite positions in `f64`, found one position at a time.
+/// The bounds of finite positions in `f64`, updated one position at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
-    /// The lowest coordinates; infinite without positions.
+    /// The lowest coordinates; infinite if there are no positions.
     pub low: [f64; 3],
-    /// The highest coordinates; infinite without positions.
+    /// The highest coordinates; infinite if there are no positions.
     pub high: [f64; 3],
 }
 
@@ -76,7 +76,7 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// Adds a position. One that is not finite is ignored.
+    /// Adds a position; ignores one that is not finite.
     pub fn add(&mut self, position: [f64; 3]) {
         if position.iter().all(|v| v.is_finite()) {
             for (axis, value) in position.into_iter().enumerate() {
@@ -86,29 +86,29 @@ impl Bounds {
         }
     }
 
-    /// Whether all positions within the bounds are held by a cloud's reach.
+    /// Whether a cloud's reach holds all positions within the bounds.
     fn are_held_by(&self, reach: &Reach) -> bool {
         let corner = |bits: usize| std::array::from_fn(|axis| [self.low, self.high][bits >> axis & 1][axis]);
         (0..8).all(|bits| reach.holds(corner(bits)))
     }
 
-    /// The origin of a cloud with these bounds: zero, or for positions far from zero their centre, rounded to a power of
-    /// two so that the subtraction is exact.
+    /// The origin of a cloud with these bounds. It is zero, or for positions far from zero their centre, rounded to a multiple
+    /// of a power of two so that the subtraction is exact.
     pub fn origin(&self) -> [f64; 3] {
         let Self { low, high } = *self;
         let size = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
         let farthest = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
-        // A single position, no points and coordinates that overflow get no origin.
+        // A single position, no positions, or coordinates that overflow: no origin.
         if !(size > 0.0 && farthest > FAR * size && farthest.is_finite()) {
             return [0.0; 3];
         }
-        // No finer than the digits of the farthest coordinate, else the quotient can overflow, as the sum of the two can.
+        // The step is not below the resolution of the farthest coordinate, or the quotient could overflow, as low + high can.
         let step = size.log2().floor().exp2().max((farthest.log2().floor() - 52.0).exp2());
         std::array::from_fn(|axis| ((low[axis] / 2.0 + high[axis] / 2.0) / step).round() * step)
     }
 }
 
-/// The origin of positions, from the bounds of those that are no outliers.
+/// The origin of positions, from the bounds of those that are not outliers.
 fn origin(positions: impl Iterator<Item = [f64; 3]> + Clone) -> [f64; 3] {
     let bounds_of = |holds: &dyn Fn([f64; 3]) -> bool| {
         let mut bounds = Bounds::default();
@@ -154,7 +154,7 @@ mod tests {
             }
         }
         assert_eq!(converted.into_points()[0], far[0].map(|v| v as f32));
-        // One outlier far away does not cost the other points their digits.
+        // A single far outlier does not cost the other points their precision.
         let outlier = cloud(&[[1e30, 0.0, 0.0], [0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]);
         assert_eq!((outlier.origin, outlier.points[1]), ([0.0; 3], [0.1, 0.2, 0.3]));
         for points in [vec![], vec![[7.0; 3]; 3], vec![[f64::NAN; 3]], vec![[-1.7e308; 3], [1.7e308; 3]]] {
@@ -168,7 +168,7 @@ mod tests {
             (0..900).map(|i| [500_123.25 + f64::from(i % 30) * 0.1, 5_412_345.75 + f64::from(i / 30) * 0.1, 431.0]);
         let clean = Cloud::from_positions(room.clone());
         assert!(clean.origin[1] > 5e6);
-        // Missing returns at zero, and a point beyond the earth.
+        // Missing returns at zero, and a point farther away than the size of the earth.
         for outlier in [[0.0; 3], [1e30, 0.0, 0.0], [f64::MAX, 0.0, f64::MIN], [f64::NAN, 0.0, 0.0]] {
             let converted = Cloud::from_positions(std::iter::once(outlier).chain(room.clone()));
             assert_eq!((converted.origin, &converted.points[1..]), (clean.origin, &clean.points[..]), "{outlier:?}");

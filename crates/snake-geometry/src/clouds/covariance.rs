@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-/// The covariance of a position in squared cloud units: a symmetric matrix, infinite along directions that are open.
+/// The covariance of a position in squared cloud units: a symmetric matrix, with infinite entries for open directions.
 ///
 /// An open direction `u` makes the entries `(i, j)` infinite where `u_i u_j` is not about 0. Serde writes the rows, with `null` for
 /// infinite entries.
@@ -15,13 +15,13 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// Every direction is open.
+    /// The covariance of which every direction is open.
     pub const UNKNOWN: Self = Self {
         rows: [[f32::INFINITY, 0.0, 0.0], [0.0, f32::INFINITY, 0.0], [0.0, 0.0, f32::INFINITY]],
         deviation: f32::INFINITY,
     };
 
-    /// Variances along three orthonormal directions, the columns of a matrix; infinite ones are open.
+    /// The covariance with these variances along three orthonormal directions, the columns of a matrix; infinite ones are open.
     pub fn along(directions: &Matrix3<f64>, variances: [f64; 3]) -> Self {
         let (mut known, mut free) = (Matrix3::zeros(), Matrix3::zeros());
         for (direction, variance) in directions.column_iter().zip(variances) {
@@ -39,13 +39,13 @@ impl Covariance {
         self.rows
     }
 
-    /// The largest standard deviation of all directions, in cloud units.
+    /// The largest standard deviation over all directions, in cloud units.
     pub fn deviation(&self) -> f32 {
         self.deviation
     }
 }
 
-/// An open direction has a part along two axes if the product of its components is larger than this.
+/// An open direction makes the entry of two axes infinite if the product of its components along them is larger than this.
 const MIN_SHARE: f64 = 0.03;
 
 impl From<[[f32; 3]; 3]> for Covariance {

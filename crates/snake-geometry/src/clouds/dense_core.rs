@@ -1,38 +1,38 @@
-//! The dense core of a cloud amid sky and floaters, as splats and dense reconstructions from photographs have them.
+//! The dense core of a cloud surrounded by sky and floaters, as in splats and dense reconstructions from photographs.
 //!
-//! Such clouds have a scene in their midst and, many times as far away, sparse points that are no surface seen from it: a
-//! dome of sky, several shells, or tails of floaters at all distances. A sweep, terrain about a statue or a second building
-//! is far too, but as dense, or a surface: the next direction has nearly the same distance.
+//! Such clouds have a scene in the middle. Many times as far away are sparse points that form no surface as seen from it: a
+//! dome of sky, several shells, or tails of floaters at all distances. A sweep, terrain around a statue or a second building is
+//! far, too, but it is as dense, or it is a surface: points in neighbouring directions have nearly the same distance.
 
-/// The share of the points that a core holds at least.
+/// Smallest share of the points in a core.
 const MIN_SHARE: f64 = 0.3;
-/// A cloud is looked at if its farthest point is this many times as far from the middle of the core as [`MIN_SHARE`] of the
-/// points. Objects, rooms and sweeps of LiDARs have 7.7 and less.
+/// A cloud is examined if its farthest point is this many times as far from the middle of the core as [`MIN_SHARE`] of the
+/// points. Objects, rooms and LiDAR sweeps have 7.7 and less.
 const SUSPICIOUS: f64 = 8.0;
-/// Fewer points about the core are outliers by their distance alone.
+/// Smallest share of far points around a core. Fewer can be outliers by their distance alone.
 const MIN_FAR_SHARE: f64 = 0.01;
-/// Far points reach to this many radii of the core.
+/// The farthest point is at least this many radii of the core away.
 const FAR: f64 = 6.0;
-/// Sparse points are this many times as far from their nearest neighbours as those of the core.
+/// Sparse points are this many times as far from their nearest neighbours as the points of the core.
 const SPARSE: f64 = 5.0;
-/// The radius of a ring about the core, in radii of the next smaller one.
+/// The outer radius of a ring around the core, as a multiple of its inner radius.
 const RING: f64 = 1.25;
-/// The core's ball, in radii of its last dense ring: it keeps thin parts.
+/// Radius of the core's ball, as a multiple of the radius of its last dense ring. It keeps thin parts.
 const MARGIN: f64 = 1.5;
-/// The farthest point of a shell, in distances of its nearest; and the empty step between two shells.
+/// Largest distance in a shell as a multiple of its smallest; and the smallest gap between two shells, as a ratio.
 const SHELL: f64 = 1.6;
 const BETWEEN_SHELLS: f64 = 1.5;
-/// Points are scattered if of so many of them the neighbour in direction is farther or nearer by this factor: of tails half and
-/// more, of a room about a statue 0.27, of sweeps and terrain 0.06 and less.
+/// Points are scattered if, for more than this share of them, the neighbour in direction is farther or nearer by this factor.
+/// In tails it is half and more, in a room around a statue 0.27, in sweeps and terrain 0.06 and less.
 const SCATTERED_SHARE: f64 = 0.38;
 const SCATTERED_FACTOR: f64 = 2.5;
-/// Number of points beside a shell that are asked whether they are scattered.
+/// Smallest number of points outside the largest shell that are tested for being scattered.
 const MIN_REST: usize = 8;
-/// Candidates for the middle of the core. They fit on the stack.
+/// Maximum number of candidates for the middle of the core. They fit on the stack.
 const CANDIDATES: usize = 128;
 
-/// The middle of the core, and the radius of a ball that holds it. `None` unless sparse points that are shells or scattered
-/// lie far beyond it.
+/// The middle of the core, and the radius of a ball around it. `None` unless sparse points lie far beyond it that form shells
+/// or are scattered.
 pub(super) fn dense_core(points: &[[f64; 3]]) -> Option<([f64; 3], f64)> {
     let center = middle(points)?;
     let distance = |point: &[f64; 3]| squared_distance(point, &center).sqrt();
@@ -73,7 +73,7 @@ pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
 }
 
-/// The candidate about which [`MIN_SHARE`] of the candidates lie closest.
+/// The candidate that needs the smallest ball for [`MIN_SHARE`] of the candidates.
 fn middle(points: &[[f64; 3]]) -> Option<[f64; 3]> {
     let step = points.len().div_ceil(CANDIDATES).max(1);
     let candidates = points.iter().step_by(step);
@@ -91,7 +91,7 @@ fn middle(points: &[[f64; 3]]) -> Option<[f64; 3]> {
     reaches.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, center)| *center)
 }
 
-/// The distance from a point to the nearest other one.
+/// The distance from a point to the nearest other point.
 fn spacing(point: &[f64; 3], points: &[[f64; 3]]) -> f64 {
     let others = points.iter().filter(|other| !std::ptr::eq(*other, point));
     others.map(|other| squared_distance(other, point)).fold(f64::INFINITY, f64::min).sqrt()
@@ -102,14 +102,14 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Whether sorted distances are those of thin shells with nothing between them.
+/// Whether sorted distances form thin shells with nothing between them.
 fn are_shells(distances: &[f64]) -> bool {
     let mut shells = distances.chunk_by(|near, far| *far <= BETWEEN_SHELLS * near);
     shells.all(|shell| shell[shell.len() - 1] <= SHELL * shell[0])
 }
 
-/// Whether points, given from the center, lie at very different distances in nearly the same direction; or do so without the
-/// shell that holds most of them.
+/// Whether points, given relative to the centre, lie at very different distances in nearly the same direction. It is enough if
+/// they do so without the shell that holds most of them.
 fn are_scattered(offsets: &[[f64; 3]]) -> bool {
     let rays: Vec<Ray> = offsets.iter().map(Ray::new).collect();
     let mut sorted: Vec<f64> = rays.iter().map(|ray| ray.length).collect();
@@ -124,7 +124,7 @@ fn are_scattered(offsets: &[[f64; 3]]) -> bool {
     is_more(&rays) || rest.len() >= MIN_REST && is_more(&rest)
 }
 
-/// A point as direction and distance from the center.
+/// A point as a direction and a distance from the centre.
 #[derive(Debug, Clone, Copy)]
 struct Ray {
     direction: [f64; 3],
@@ -137,7 +137,7 @@ impl Ray {
         Self { direction: offset.map(|v| v / length), length }
     }
 
-    /// Whether the ray in the nearest direction is much longer or shorter.
+    /// Whether the ray with the nearest direction is much longer or shorter.
     fn is_alone(&self, rays: &[Self]) -> bool {
         let others = rays.iter().filter(|other| !std::ptr::eq(*other, self));
         let apart = |other: &Self| squared_distance(&other.direction, &self.direction);
@@ -150,7 +150,7 @@ impl Ray {
 pub(super) mod tests {
     use super::*;
 
-    /// The numbers from 0 to 1 of a row, as if they were drawn.
+    /// Pseudo-random numbers from 0 to 1, one sequence per row.
     pub(in crate::clouds) fn drawn(i: usize, row: usize) -> f64 {
         ((i as f64 * 12.9898 + row as f64 * 78.233).sin() * 43_758.545).rem_euclid(1.0)
     }
@@ -162,7 +162,7 @@ pub(super) mod tests {
         [(1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z]
     }
 
-    /// A box of half 1 x 0.6 x 0.4, drawn from its surface.
+    /// Points on the surface of a box with half sides 1, 0.6 and 0.4.
     fn scene(number: usize) -> Vec<[f64; 3]> {
         let point = |i: usize| {
             let at = |row| 2.0 * drawn(i, row) - 1.0;
@@ -173,14 +173,14 @@ pub(super) mod tests {
         (0..number).map(point).collect()
     }
 
-    /// Points about a scene of `1024 - number`, with a distance for each number from 0 to 1.
+    /// A scene of `1024 - number` points and `number` points around it. `distance` maps numbers from 0 to 1 to distances.
     fn with(number: usize, keep: impl Fn(&[f64; 3]) -> bool, distance: impl Fn(f64) -> f64) -> Vec<[f64; 3]> {
         let directions = (0..).map(direction).filter(keep).take(number);
         let far = directions.enumerate().map(|(i, direction)| direction.map(|v| v * distance(drawn(i, 2))));
         scene(1024 - number).into_iter().chain(far).collect()
     }
 
-    /// The shares of the scene and of the far points that the core holds.
+    /// The shares of the scene and of the far points that lie in the core.
     fn held(points: &[[f64; 3]], far: usize) -> Option<[f64; 2]> {
         let (center, radius) = dense_core(points)?;
         let share = |points: &[[f64; 3]]| {
@@ -218,14 +218,14 @@ pub(super) mod tests {
                 assert!(scene == 1.0 && far < 0.75, "{number} of law {index}: {scene} {far}");
             }
         }
-        // A dome and tails together.
+        // A dome together with tails.
         let both = |at: f64| if at < 0.6 { 80.0 + 20.0 * at } else { (5.0 * (at - 0.6) / 0.4).exp() };
         assert!(held(&with(300, |_| true, both), 300).is_some_and(|[scene, _]| scene == 1.0));
     }
 
     #[test]
     fn surfaces_far_away_stay() {
-        // The sweep of a sensor: walls and a floor, whose density falls with the distance; half of the points at the sensor.
+        // A sensor's sweep: walls and a floor, with density falling with the distance; half of the points are at the sensor.
         let sweep = (0..512).map(|i| {
             let direction = direction(i);
             let range = (1.8 / direction[2].abs()).min(40.0 / direction[0].abs()).min(8.0 / direction[1].abs());
@@ -255,7 +255,7 @@ pub(super) mod tests {
             vec![[1.0; 3]; 500],
             zeros(500).chain((0..500).map(|i| direction(i).map(|v| v * 50.0))).collect(),
             scene(500).into_iter().chain([[f64::MAX, 0.0, f64::MIN], [1e200; 3]]).collect(),
-            // Squares of their distances overflow.
+            // The squares of their distances overflow.
             (0..500).map(|i| direction(i).map(|v| v * 1e200)).collect(),
         ] {
             assert_eq!(dense_core(&points), None, "{:?}", points.last());

@@ -1,21 +1,21 @@
-//! Returns of a sensor's own housing: a large part of a cloud in one tiny place, with empty space about it.
+//! Returns from a sensor's own housing: a large part of a cloud in one tiny place, with empty space around it.
 
 use crate::Point;
 
-/// The share of the points that the place holds at least.
+/// Smallest share of the points in the place.
 const MIN_SHARE: f64 = 0.3;
-/// The next point is so many radii of the place away: scans of a thing have other things beside it.
+/// The next point is more than this many radii of the place away: scans of an object have other objects beside it.
 const GAP: f64 = 10.0;
-/// The other points are spread about their mean by this share of its distance at least: they are a scene about the sensor, and
-/// not a second thing far away.
+/// Smallest spread of the other points about their mean, as a share of the mean's distance. They are a scene around the sensor,
+/// not a second object far away.
 const MIN_SPREAD: f64 = 0.2;
-/// The other points have no such place themselves: this share of them is nowhere within so many radii of it.
+/// The other points have no such place: around none of them, this share of them lies within this many radii of the place.
 const CLUMP: (f64, f64) = (0.2, 5.0);
-/// Number of points that are measured, and of candidates for the middle of the place.
+/// Number of points that are measured, and number of candidates for the middle of the place.
 const MEASURED: usize = 512;
 const CANDIDATES: usize = 32;
 
-/// Which of the finite points are in such a place, and where, in words.
+/// Which of the finite points are in such a place, and a description of the place.
 pub(super) fn housing(points: &[Point]) -> Option<(Vec<bool>, String)> {
     let measured = drawn(points, MEASURED);
     let center = densest(&measured, MIN_SHARE)?;
@@ -23,7 +23,7 @@ pub(super) fn housing(points: &[Point]) -> Option<(Vec<bool>, String)> {
     distances.sort_by(f64::total_cmp);
     let first = (MIN_SHARE * distances.len() as f64) as usize;
     let step = (first..distances.len() - 1).find(|&i| distances[i] > 0.0 && distances[i + 1] > GAP * distances[i])?;
-    // Points that are not measured lie somewhat farther out.
+    // Points that are not in the sample can lie somewhat farther out.
     let (radius, limit) = (distances[step], (distances[step] * distances[step + 1]).sqrt());
     let rest: Vec<Point> = measured.into_iter().filter(|point| distance(point, &center) > limit).collect();
     let number = rest.len() as f64;
@@ -40,16 +40,16 @@ pub(super) fn housing(points: &[Point]) -> Option<(Vec<bool>, String)> {
     })
 }
 
-/// At most so many points, evenly by their order.
+/// At most `most` points, evenly distributed over their order.
 fn drawn(points: &[Point], most: usize) -> Vec<Point> {
     let number = points.len().min(most);
-    // A draw within each part: a fixed step could be the width of an image.
+    // One draw in each part: a fixed step could equal the width of an image.
     let draw =
         |i: usize| ((i as f64 + (i as f64 * 0.618_033_988_75).fract()) * points.len() as f64 / number as f64) as usize;
     (0..number).map(|i| points[draw(i).min(points.len() - 1)]).collect()
 }
 
-/// The point about which a share of the others lies closest together.
+/// The candidate that needs the smallest ball for a share of the points.
 fn densest(points: &[Point], share: f64) -> Option<Point> {
     let candidates = drawn(points, CANDIDATES).into_iter().map(|center| (reach(&center, points, share), center));
     candidates.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, center)| center)
@@ -76,13 +76,13 @@ mod tests {
         drawn(i, row) as f32
     }
 
-    /// Points in a ball.
+    /// Points in a cube that fits into the ball of this radius.
     fn ball(number: usize, radius: f32, center: Point) -> Vec<Point> {
         let point = |i| std::array::from_fn(|axis| center[axis] + radius * (2.0 * unit(i, axis) - 1.0) / 1.8);
         (0..number).map(point).collect()
     }
 
-    /// Points on the walls, the floor and the ceiling of a room about the origin, and a table in it.
+    /// Points on the walls, the floor and the ceiling of a room around the origin, and on a table in it.
     fn room(number: usize) -> Vec<Point> {
         let point = |i: usize| -> Point {
             let mut point = [6.0, 5.0, 2.5].map(f64::from).map(|v| v as f32);

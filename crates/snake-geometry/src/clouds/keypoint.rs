@@ -12,21 +12,21 @@ use crate::{Covariance, Point};
 pub struct Keypoint {
     /// Position in cloud units.
     pub position: Point,
-    /// Saliency in [0, 1]; the score that keypoints are ranked by. With mode seeking it is the mean of the saliency where the
-    /// candidate started and of the highest one where it ended.
+    /// Saliency in [0, 1]. With mode seeking, it is the mean of the saliency at the candidate's start and the highest
+    /// one near its end. Keypoints are ranked by it; in scenes, also by how well the points determine the position.
     pub saliency: f32,
     /// Occupancy in [0, 1] at the position.
     pub occupancy: f32,
-    /// Index of the nearest input point, in the cloud as it was given.
+    /// Index of the nearest input point in the given cloud.
     pub nearest_index: usize,
-    /// Probability in [0, 1] that another view of the same surface finds it again: within 4 % of the radius of an object, two
-    /// voxels of a scene or less: at most a 104th of its box's diagonal. `None` if the model's file has no map of confidences.
+    /// Probability in [0, 1] that another view of the same surface finds it again: within 4 % of an object's radius, or within
+    /// two voxels of a scene and at most 1/104 of its box's diagonal. `None` if the model's file has no map of confidences.
     pub confidence: Option<f32>,
-    /// The covariance of the position, by the planes of the points around it.
+    /// The covariance of the position, from the planes of the points around it.
     pub covariance: Covariance,
 }
 
-/// A [`Keypoint`] in files.
+/// A [`Keypoint`] as it is stored in files.
 #[derive(Serialize, Deserialize)]
 struct KeypointRecord {
     x: f32,

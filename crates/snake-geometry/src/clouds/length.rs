@@ -12,8 +12,8 @@ use serde::{Serialize, Serializer};
 use crate::{Error, FinitePoints, Normalization, NormalizationMethod, Point, PointTree, Result};
 
 /// A length in cloud units, in multiples of the cloud's resolution, in per cent of its radius, or in voxels. The resolution
-/// is the mean distance of the distinct points to their nearest other point; the radius is the largest distance of a point
-/// from their mean; outliers do not count; the voxels are those of a field's volume (`Field::voxel_size` of snake-core). The text forms are
+/// is the mean distance of the distinct points to their nearest other point. The radius is the largest distance of a point
+/// from their mean. Outliers do not count. The voxels are those of a field's volume (`Field::voxel_size` of snake-core). The text forms are
 /// `0.05`, `6r`, `10%` and `4v`; the JSON form is a number or such a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Length {
@@ -30,7 +30,7 @@ pub enum Length {
 const FORMS: &str = "a number of cloud units such as `0.05`, a multiple of the cloud's resolution such as `6r`, per cent of its radius such as `10%`, or a number of voxels such as `4v`";
 
 impl Length {
-    /// The length in the units of a cloud `(N, 3)`; `name` is the name in error messages.
+    /// The length in the units of a cloud `(N, 3)`. `name` is the option's name in error messages.
     ///
     /// ```
     /// use snake_geometry::Length;
@@ -60,8 +60,8 @@ impl Length {
         }
     }
 
-    /// [`Length::in_units`] for a known resolution, which is computed only if it is needed. Per cent of a radius are an
-    /// error here.
+    /// [`Length::in_units`] with a known resolution, which is computed only if needed. A percentage of the radius and a number of
+    /// voxels are errors here.
     pub fn resolve(self, name: &'static str, resolution: impl FnOnce() -> f64) -> Result<f64> {
         match self {
             Self::Units(length) => check(name, self, length),
@@ -70,14 +70,14 @@ impl Length {
         }
     }
 
-    /// The number alone, without its unit.
+    /// The number without its unit.
     pub fn number(self) -> f64 {
         let (Self::Units(number) | Self::Resolutions(number) | Self::Percent(number) | Self::Voxels(number)) = self;
         number
     }
 }
 
-/// A length in a cloud's units if its square neither vanishes nor overflows.
+/// A length in cloud units, if its square neither vanishes nor overflows.
 fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
     if (1e-150..1e150).contains(&length) {
         return Ok(length);
@@ -86,14 +86,14 @@ fn check(name: &'static str, given: Length, length: f64) -> Result<f64> {
     Err(Error::Option { name, value: given.to_string(), allowed })
 }
 
-/// Points within this many times the mean gap are merged to see whether each was stored several times.
+/// Points within this many mean gaps are merged, to find out whether each was stored several times.
 const MERGED: f64 = 16.0;
 
-/// They were if what is merged then lies this many times as far apart. A surface that is covered evenly has 1 to 2.
+/// Points were stored several times if the merged points are more than this many cells apart. An even surface has 1 to 2.
 const APART: f64 = 4.0;
 
 /// The resolution of a cloud `(N, 3)`: the mean distance of its finite distinct points to their nearest other point, without
-/// outliers; 0 if there is only one. Points that were stored several times with hardly any noise count once.
+/// outliers. It is 0 for a single point. Points that were stored several times with hardly any noise count once.
 pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     let FinitePoints { points, .. } = FinitePoints::of(what, points)?;
     let gap = match mean_gap(&points)? {
@@ -103,7 +103,7 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     if gap == 0.0 {
         return Ok(0.0);
     }
-    // A second time with cells that are shifted by half: few pairs lie across the borders of both.
+    // The second time, cells are shifted by half: few pairs lie on both sides of borders in both grids.
     let side = MERGED * gap;
     let merged = one_a_cell(&one_a_cell(&points, side, 0.0), side, 0.5);
     let apart: Vec<f64> = match merged.len() {
@@ -114,16 +114,16 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     Ok(if mean > APART * side { mean } else { gap })
 }
 
-/// The first of the points in each cubic cell, of cells that are shifted by a share of their side.
+/// The first point in each cubic cell. The grid of cells is shifted by a share of their side.
 pub fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Vec<Point> {
     let cell = |point: &Point| point.map(|v| (f64::from(v) / side + shift).floor() as i64);
     let (mut taken, mut last) = (HashSet::new(), None);
-    // The points of a scan come in lines, so most lie in the cell of the one before.
+    // The points of a scan come in lines, so most lie in the same cell as the previous one.
     let mut is_new = |cell| last.replace(cell) != Some(cell) && taken.insert(cell);
     points.iter().filter(|point| is_new(cell(point))).copied().collect()
 }
 
-/// The distinct ones of finite points, each with its distance to the nearest other one; infinite if there is none.
+/// The distinct points, each with its distance to the nearest other point, which is infinite if there is none.
 ///
 /// # Errors
 /// [`Error::Input`] for more points than [`u32::MAX`].
@@ -136,7 +136,7 @@ pub fn gaps(points: &[Point]) -> Result<Vec<(Point, f64)>> {
     Ok(points.iter().copied().zip(distances.iter().copied()).collect())
 }
 
-/// The distinct ones of finite points, sorted.
+/// The distinct points among finite ones, sorted.
 fn distinct(points: &[Point]) -> Vec<Point> {
     let mut points = points.to_vec();
     points.par_sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
@@ -144,7 +144,7 @@ fn distinct(points: &[Point]) -> Vec<Point> {
     points
 }
 
-/// The mean distance of points to their nearest other point, or `None` where points are equal or there is only one.
+/// The mean distance of points to their nearest other point; `None` if points are equal or if there is only one.
 fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
     if points.len() < 2 {
         return Ok(None);
@@ -154,7 +154,7 @@ fn mean_gap(points: &[Point]) -> Result<Option<f64>> {
     Ok(are_distinct.then(|| distances.iter().sum::<f64>() / points.len() as f64))
 }
 
-/// The distance of each of two or more points to the nearest other one.
+/// The distance of each point to the nearest other one. There must be at least two points.
 fn distances(points: &[Point]) -> Result<Vec<f64>> {
     let mut distances = PointTree::new(points)?.nearest_others();
     distances.iter_mut().for_each(|distance| *distance = distance.sqrt());

@@ -13,23 +13,23 @@ pub struct Mesh {
     pub normals: Vec<[f32; 3]>,
     /// Indices of vertices `(T, 3)`, counterclockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// With the option `outer` the number of triangles that were removed, those of inner surfaces.
+    /// With the option `outer`, the number of triangles of inner surfaces that were removed.
     #[serde(default)]
     pub num_removed: Option<usize>,
 }
 
-/// Share of the triangles that the inner side of a closed shell has at least.
+/// Smallest ratio of the triangles on the inner side of a closed shell to the remaining ones.
 const INNER_SIDE: f64 = 0.1;
 
 impl Mesh {
-    /// Notes for a user, in sentences: on a field without a surface, and on an open shell.
+    /// Notes for the user, in sentences: about a field without a surface, and about an open shell.
     pub fn notes(&self) -> Vec<String> {
         let empty = || "no surface: a lower `level` may have one".into();
         self.shell_hint().into_iter().chain(self.triangles.is_empty().then(empty)).collect()
     }
 
-    /// One sentence for the user if the outer surfaces were asked for and still have an inner side. Through a hole in a
-    /// shell both sides are one surface, all of which can be reached from outside.
+    /// One sentence for the user if `outer` was requested and the surface still has an inner side. If a shell has a
+    /// hole, both sides are one surface, all of which can be reached from outside.
     fn shell_hint(&self) -> Option<String> {
         let (removed, kept) = (self.num_removed?, self.triangles.len());
         (kept > 0 && (removed as f64) < INNER_SIDE * kept as f64).then(|| {

@@ -5,40 +5,40 @@ use std::cell::OnceCell;
 use super::housing::housing;
 use crate::{Point, Sensor, Vector, least_spread, vector};
 
-/// Missing returns are at least this many points of a cloud, and this share.
+/// Missing returns are at least this number of points, and this share of the cloud.
 const MIN_POINTS: usize = 50;
 const MIN_SHARE: f64 = 0.01;
-/// Distances and depths that differ by a smaller share are equal. No surface is so exactly a sphere around the sensor, and text
-/// files round.
+/// Distances and depths that differ by less than this share are equal. No surface is so exactly a sphere around the sensor, and
+/// text files round coordinates.
 const TOLERANCE: f64 = 1e-4;
-/// Points at one distance surround the sensor if their smallest spread is above this share of it: a beam on a level floor draws
-/// a circle.
+/// Points at one distance surround the sensor if their smallest spread is above this share of the distance: a beam on a level
+/// floor draws a circle.
 const MIN_SPREAD: f64 = 1e-3;
-/// A plane of missing returns is farther from the sensor than this many distances of the farthest other point.
+/// The depth of a plane of missing returns is more than this many times the farthest other point's distance from the origin.
 const MIN_DEPTH: f64 = 1.5;
-/// A cloud of which a smaller share would be left keeps its points.
+/// A cloud keeps its points if a smaller share than this would be left.
 const MIN_LEFT: f64 = 0.05;
-/// And so does one of which more points are at one distance or depth: a dome around the sensor, or a wall behind things.
+/// It also keeps them if more than this share is at one distance or depth: a dome around the sensor, or a wall behind objects.
 const MAX_AT_DISTANCE: f64 = 0.5;
-/// A place has at least so many copies for each copy of another point.
+/// A place of missing returns has at least this many times the mean number of copies of a point.
 const MIN_COPIES: f64 = 5.0;
-/// Other points have at most so many copies, if the sensor is not known: a mesh repeats its vertices.
+/// Maximum mean number of copies of the other points if the sensor is not known: a mesh repeats its vertices.
 const MAX_OTHER_COPIES: f64 = 1.5;
-/// Number of kinds of missing returns in one cloud, at most.
+/// Maximum number of kinds of missing returns in one cloud.
 pub(super) const MAX_KINDS: usize = 4;
 /// Number of counters for distances. They fit on the stack.
 const COUNTERS: usize = 8192;
 
-/// Which points are missing returns, and where they are, in words.
+/// Which points are missing returns, and a description of where they are.
 type Missing = (Vec<bool>, String);
 
-/// The rules in their order. Each names one kind of missing returns.
+/// The rules in order. Each finds one kind of missing returns.
 const RULES: [fn(&Returns) -> Option<Missing>; 3] =
     [|returns| returns.at_one_place(), |returns| returns.at_one_distance(), |returns| returns.at_one_depth()];
 
-/// Which of the finite points are missing returns of a sensor, and where, in words. A sensor that is not given is searched, if
-/// the answer depends on it. Where none is found it may be at the origin; points at one distance then have to be the farthest,
-/// since a ball on a stand may be about the origin.
+/// Which of the finite points are missing returns of a sensor, and a description. A sensor that is not given is searched for if
+/// the answer depends on it. If none is found, it may be at the origin; points at one distance must then be the farthest ones,
+/// because a ball on a stand may surround the origin.
 pub(super) fn missing_returns(points: &[Point], given: Option<[f64; 3]>) -> Option<Missing> {
     let returns = Returns::new(points, given)?;
     let (is_missing, place) = RULES
@@ -72,12 +72,12 @@ struct Returns<'a> {
     given: Option<[f64; 3]>,
     found: OnceCell<Option<Sensor>>,
     min_count: usize,
-    /// Whether so many points may have one distance.
+    /// Whether `min_count` points may have one distance.
     may_repeat: bool,
 }
 
 impl<'a> Returns<'a> {
-    /// `None` for fewer points than missing returns are.
+    /// Returns `None` if there are fewer points than missing returns need.
     fn new(points: &'a [Point], given: Option<[f64; 3]>) -> Option<Self> {
         let min_count = MIN_POINTS.max((MIN_SHARE * points.len() as f64) as usize);
         let mut returns = Self { points, given, found: OnceCell::new(), min_count, may_repeat: false };
@@ -85,7 +85,7 @@ impl<'a> Returns<'a> {
         (points.len() >= min_count).then_some(returns)
     }
 
-    /// The distance from the sensor that is given, or from the origin: a place that is found is not exact.
+    /// The distance from the given sensor, or from the origin: the position of a sensor that is found is not exact.
     fn distance(&self, point: &Point) -> f64 {
         (vector(*point) - Vector::from(self.given.unwrap_or_default())).norm()
     }
@@ -95,11 +95,11 @@ impl<'a> Returns<'a> {
         self.given.or_else(found)
     }
 
-    /// Copies of one point, where points are not repeated otherwise. They are at one distance, too.
+    /// Copies of one point in a cloud whose other points are not repeated. Such copies also have one distance.
     fn at_one_place(&self) -> Option<Missing> {
         let points = self.points;
         let key = |point: &Point| point.map(|v| (v + 0.0).to_bits());
-        // Four bytes a point: the cloud may have hundreds of millions.
+        // Four bytes per point: the cloud may have hundreds of millions.
         let number = u32::try_from(points.len()).ok().filter(|_| self.may_repeat)?;
         let mut order: Vec<u32> = (0..number).collect();
         order.sort_unstable_by_key(|&index| key(&points[index as usize]));
@@ -116,7 +116,7 @@ impl<'a> Returns<'a> {
         Some((points.iter().map(|point| key(point) == place).collect(), format!("at ({x}, {y}, {z})")))
     }
 
-    /// Points at exactly one distance from the sensor that face all ways.
+    /// Points at exactly one distance from the sensor that surround it.
     fn at_one_distance(&self) -> Option<Missing> {
         if !self.may_repeat {
             return None;
@@ -137,8 +137,8 @@ impl<'a> Returns<'a> {
         })
     }
 
-    /// Points at exactly one depth along an axis, the least or the greatest, that are farther than all others. Copies of a
-    /// vertex, such as the tip of a cone, are no plane.
+    /// Points at exactly one depth along an axis, the smallest or the largest, that is far beyond all other points. Copies of a
+    /// vertex, such as the tip of a cone, do not count as a plane.
     fn at_one_depth(&self) -> Option<Missing> {
         let points = self.points;
         let mut extremes = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
@@ -166,15 +166,15 @@ impl<'a> Returns<'a> {
     }
 }
 
-/// Whether so many of the distances may be equal. This takes a tenth of the time of [`frequent`] and no memory.
+/// Whether `min_count` distances may be equal. This takes a tenth of the time of [`frequent`] and no memory.
 fn may_be_frequent(distances: impl Iterator<Item = f64>, min_count: usize) -> bool {
     let mut counts = [0_u32; COUNTERS];
-    // The upper 24 bits, with 12 of the mantissa: what is equal has one number or two consecutive ones.
+    // The upper 24 bits, with 12 of the mantissa: equal distances have the same number or two consecutive ones.
     distances.for_each(|distance| counts[(distance.to_bits() >> 40) as usize % COUNTERS] += 1);
     (0..COUNTERS).any(|at| (counts[at] + counts[(at + 1) % COUNTERS]) as usize >= min_count)
 }
 
-/// The values that so many others equal within the tolerance.
+/// The values that at least `min_count` values equal within the tolerance.
 fn frequent(mut sorted: Vec<f64>, min_count: usize) -> Vec<f64> {
     sorted.sort_unstable_by(f64::total_cmp);
     let mut groups = Vec::new();
@@ -199,8 +199,8 @@ mod tests {
     use super::*;
     use crate::FinitePoints;
 
-    /// Points of two walls as a sensor at the origin sees them, some of which are at `distance`
-    /// instead.
+    /// Points on two walls as a sensor at the origin sees them. `missing` replaces some
+    /// of them.
     fn scan(missing: impl Fn(Vector) -> Vector) -> (Vec<Point>, usize) {
         let mut count = 0;
         let points = (0..4000).map(|i| {
@@ -215,7 +215,7 @@ mod tests {
         (points, count)
     }
 
-    /// The points that are kept, and what is said of the others.
+    /// The number of points that are kept, and the findings about the others.
     fn cleaned(points: &[Point], sensor: Option<[f64; 3]>) -> (usize, Vec<String>) {
         let used = FinitePoints::clean("points", points, sensor).unwrap();
         (used.points.len(), used.findings())
@@ -240,7 +240,7 @@ mod tests {
 
     #[test]
     fn the_sensor_of_a_scan_is_found_where_its_missing_returns_tell_nothing_else() {
-        // A room about the sensor; the returns of a window stand at one distance within it.
+        // A room around the sensor; the returns from a window are at one distance, within the room.
         let is_missing = |i: u32| (60..120).contains(&(i % 300)) && (40..90).contains(&(i / 300));
         let point = |i: u32| -> Point {
             let (azimuth, elevation) = (f64::from(i % 300) * 0.020_944, f64::from(i / 300) * 0.02 - 1.0);
@@ -252,7 +252,7 @@ mod tests {
         let room: Vec<Point> = (0..30_000).map(point).collect();
         assert_eq!(cleaned(&room, None), cleaned(&room, Some([0.0; 3])));
         assert_eq!(cleaned(&room, None).0, 27_000);
-        // The same room in the coordinates of a site, where the origin is nobody's place.
+        // The same room in site coordinates, where no sensor is at the origin.
         let moved: Vec<Point> = room.iter().map(|[x, y, z]| [x + 4.0, y + 3.0, z + 2.0]).collect();
         assert_eq!(cleaned(&moved, None).0, 30_000);
     }
@@ -262,7 +262,7 @@ mod tests {
         let ball: Vec<Point> =
             ball(400).into_iter().chain((0..600).map(|i| [0.0, 0.0, -1.1 - i as f32 * 1e-3])).collect();
         assert_eq!([None, Some([0.0; 3])].map(|sensor| cleaned(&ball, sensor).0), [1000, 600]);
-        // A cone of triangles: each writes its corners.
+        // A cone of triangles, each with its own copies of the corners.
         let rim = |i: usize| [(i as f32 * 0.05).cos(), (i as f32 * 0.05).sin(), 0.0];
         let cone: Vec<Point> = (0..120).flat_map(|i| [[0.0, 0.0, 2.0], rim(i), rim(i + 1)]).collect();
         assert_eq!(cleaned(&cone, None).0, 360);

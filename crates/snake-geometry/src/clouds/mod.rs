@@ -1,4 +1,4 @@
-//! Points in the units of their cloud, and what is found on it.
+//! Points in the units of their cloud, and the results for them.
 
 mod cloud;
 mod covariance;

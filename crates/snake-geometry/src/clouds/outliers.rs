@@ -1,34 +1,34 @@
-//! The reach of a cloud: where its points lie, however far away a few of them are.
+//! The reach of a cloud: where its points lie, even if a few of them are very far away.
 
 use std::fmt;
 
 use super::dense_core::{dense_core, squared_distance};
 use crate::Point;
 
-/// The share of the points that decides how far a cloud reaches. Fewer points than one in twenty can be outliers.
+/// The share of the points that determines the reach of a cloud. So fewer than one point in twenty can be outliers.
 const SHARE: f64 = 0.95;
 /// Outliers are farther from the middle than this many times the distance within which [`SHARE`] of the points lie. The
-/// farthest points of objects, rooms and sweeps of LiDARs are at 2.6 times that distance and less.
+/// farthest points of objects, rooms and LiDAR sweeps are at 2.6 times that distance and less.
 const TIMES: f64 = 5.0;
 /// Number of points that are measured. They fit on the stack.
 const MEASURED: usize = 1024;
 /// Clouds with fewer points have no outliers.
 const MIN_POINTS: usize = 20;
 
-/// The ball in which the points of a cloud lie, save for outliers.
+/// The ball that contains the points of a cloud, except outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reach {
     /// The median of each coordinate, or the middle of the dense core.
     center: [f64; 3],
     /// The distance from the middle within which [`SHARE`] of the points lie, or the radius of the dense core.
     common: f64,
-    /// The points that are farther from the middle are outliers.
+    /// Points farther than this from the middle are outliers.
     limit: f64,
 }
 
 impl Reach {
     /// The reach of finite positions, from at most 1024 of them, one drawn from each of as many equal parts of their order.
-    /// `None` for clouds that are too small or too often one point to have outliers. The iterator is run twice.
+    /// `None` if there are too few positions to have outliers, or if most of them are one point. The iterator is run twice.
     pub fn of(positions: impl Iterator<Item = [f64; 3]> + Clone) -> Option<Self> {
         let number = positions.clone().count();
         if number < MIN_POINTS {
@@ -39,7 +39,7 @@ impl Reach {
         let part = number as f64 / measured.len() as f64;
         let (mut places, mut next, mut filled) = (positions.enumerate(), 0, 0);
         while let Some(slot) = measured.get_mut(filled) {
-            // A draw within each part: a fixed step could be the width of an image, and take one column of it.
+            // One draw in each part: a fixed step could equal the width of an image and take a single column.
             let draw = (filled as f64 * 0.618_033_988_75).fract();
             let place = (((filled as f64 + draw) * part) as usize).max(next);
             *slot = places.by_ref().nth(place - next)?.1;
@@ -58,12 +58,12 @@ impl Reach {
         (common > 0.0 && common.is_finite()).then_some(Self { center, common, limit: TIMES * common })
     }
 
-    /// Whether a finite position is no outlier.
+    /// Whether a finite position is not an outlier.
     pub fn holds(&self, position: [f64; 3]) -> bool {
         squared_distance(&position, &self.center) <= self.limit.powi(2)
     }
 
-    /// The outliers among finite points, if there are any.
+    /// The outliers among finite points; `None` if there are none.
     pub fn outliers(&self, points: &[Point]) -> Option<Outliers> {
         let squared = points.iter().map(|point| squared_distance(&point.map(f64::from), &self.center));
         let limit = self.limit.powi(2);
@@ -75,16 +75,16 @@ impl Reach {
 }
 
 /// The points of a cloud that are far beyond all others: fewer than one in twenty, and more than five times as far from the
-/// middle; or the sparse points about a dense core, such as a dome of sky or the floaters of splats, up to seven in ten. They
-/// would decide the cloud's size, so they are left out. The text says so in one sentence.
+/// middle; or sparse points around a dense core, such as a dome of sky or the floaters of splats, up to seven in ten. They
+/// would determine the cloud's size, so they are left out. The text says so in one sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outliers {
     /// Number of points that are left out.
     pub number: usize,
     /// Number of finite points.
     pub num_points: usize,
-    /// The distance of the farthest from the middle, in distances within which 0.95 of the points lie, or in radii of the dense
-    /// core.
+    /// The distance of the farthest outlier from the middle, as a multiple of the distance within which 0.95 of the points lie,
+    /// or of the radius of the dense core.
     pub times: f64,
 }
 
@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn points_of_many_distances_are_no_outliers() {
-        // A sweep: density falls with the square of the distance, from 1 to 80.
+        // A sweep: the density falls with the square of the distance, which goes from 1 to 80.
         let sweep: Vec<Point> = (0..5000)
             .map(|i| {
                 let ((sin, cos), range) = ((i as f32 * 2.4).sin_cos(), 80_f32.powf(i as f32 / 5000.0));

@@ -22,7 +22,7 @@ pub enum NormalizationMethod {
     PrincipalAxes,
     /// Subtract the mean, divide by twice the largest absolute coordinate: the cloud touches the cube ±0.5.
     UnitCube,
-    /// Divide by 2: the cloud is about the origin and has radius 1, but for noise. So does the released code with ModelNet40.
+    /// Divide by 2, for a cloud around the origin with radius 1, up to noise; the released code does so for ModelNet40.
     Half,
     /// The cloud is already in the network's frame.
     None,
@@ -34,7 +34,7 @@ impl NormalizationMethod {
         matches!(self, Self::UnitSphere | Self::PrincipalAxes)
     }
 
-    /// Whether the center is the origin and the scale is fixed, whatever the cloud.
+    /// Whether the centre is the origin and the scale does not depend on the cloud.
     pub fn is_fixed(self) -> bool {
         matches!(self, Self::Half | Self::None)
     }
@@ -70,7 +70,7 @@ impl Normalization {
                 Err(outside(f64::from(largest)))
             };
         }
-        // The sums are in f64, so that a mean over millions of points far from the origin keeps its digits.
+        // The sums are in f64, so that a mean over millions of points far from the origin keeps its precision.
         let mean: [f64; 3] =
             std::array::from_fn(|axis| points.iter().map(|p| f64::from(p[axis])).sum::<f64>() / points.len() as f64);
         let extent = points
@@ -111,21 +111,21 @@ fn outside(extent: f64) -> Error {
     Error::Input { what: "points", reason }
 }
 
-/// The points of a cloud that are used: the finite ones without [`Outliers`]. Depth cameras mark missing points by NaN.
+/// The points of a cloud that are used: finite points that are not [`Outliers`]. Depth cameras mark missing points by NaN.
 #[derive(Debug, Clone)]
 pub struct FinitePoints<'a> {
-    /// The points that are used, in the order they were given.
+    /// The points that are used, in the given order.
     pub points: Cow<'a, [Point]>,
     /// The indices of these points in the whole cloud. Empty if no point was skipped.
     indices: Vec<usize>,
     /// The finite points that were left out.
     outliers: Option<Outliers>,
-    /// The missing returns that were left out, in words.
+    /// Descriptions of the missing returns that were left out.
     missing: Vec<String>,
 }
 
 impl<'a> FinitePoints<'a> {
-    /// Selects the points that are used; a cloud of which all are is not copied.
+    /// Selects the points that are used. The cloud is not copied if all of its points are used.
     ///
     /// # Errors
     /// [`Error::Input`] when there are no finite points.
@@ -144,14 +144,14 @@ impl<'a> FinitePoints<'a> {
         Ok(Self { indices, ..Self::all(kept.into()) }.without_outliers())
     }
 
-    /// All points of a part of a cloud, which are finite. A part has no outliers: it need not be a cloud in itself.
+    /// All points of a part of a cloud, which must be finite. A part has no outliers, because it need not be a whole cloud.
     pub fn all(points: Cow<'a, [Point]>) -> Self {
         Self { points, indices: Vec::new(), outliers: None, missing: Vec::new() }
     }
 
-    /// [`FinitePoints::of`] a cloud as a sensor or a file gives it: without missing returns too, which are points at one place, at
-    /// one distance from the sensor or at one depth behind all others. A sensor that is not given is found in the points; where
-    /// they do not tell, less is taken for missing. [`FinitePoints::findings`] names what was left out.
+    /// [`FinitePoints::of`] for a cloud from a sensor or a file, also without missing returns: points at one place, at one
+    /// distance from the sensor, or at one depth behind all others. A sensor that is not given is searched for in the points;
+    /// without one, fewer points count as missing. [`FinitePoints::findings`] names what was left out.
     ///
     /// # Errors
     /// [`Error::Input`] when there are no finite points.
@@ -159,7 +159,7 @@ impl<'a> FinitePoints<'a> {
         Ok(Self::of(what, points)?.without_missing(sensor))
     }
 
-    /// [`FinitePoints::clean`] of a source of points, copied into the memory of two vectors.
+    /// [`FinitePoints::clean`] for a source of points, which are copied into the memory of two vectors.
     pub fn copied(
         what: &'static str,
         cloud: impl ExactSizeIterator<Item = Point> + Clone,
@@ -211,17 +211,17 @@ impl<'a> FinitePoints<'a> {
         if self.indices.is_empty() { index } else { self.indices[index] }
     }
 
-    /// The finite points that were left out, if there are any.
+    /// The outliers that were left out; `None` if there are none.
     pub fn outliers(&self) -> Option<Outliers> {
         self.outliers
     }
 
-    /// The missing returns that were left out, each kind in words.
+    /// The missing returns that were left out: a description of each kind.
     pub fn missing(&self) -> &[String] {
         &self.missing
     }
 
-    /// What is wrong with the cloud and was left out, each in a sentence: missing returns, then outliers.
+    /// One sentence for each kind of points that were left out: missing returns, then outliers.
     pub fn findings(&self) -> Vec<String> {
         let missing = self.missing.iter().map(|words| format!("{words}; they are left out"));
         missing.chain(self.outliers.map(|outliers| outliers.to_string())).collect()

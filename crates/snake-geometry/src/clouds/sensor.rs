@@ -1,12 +1,12 @@
-//! Where the sensor of a cloud stood, found in its points.
+//! Finds the place of a cloud's sensor from its points.
 //!
 //! The rays of a sensor have about equal angles, so the number of its points per area of a surface is `k |cos| / r²`: it falls
-//! with the squared distance r from the sensor and with the angle between ray and normal. A model is sampled evenly instead,
+//! with the squared distance r from the sensor and with the angle between ray and normal. A model is instead sampled evenly,
 //! and merged or fused scans have the densities of several sensors. A place is the sensor's if it explains the densities much
-//! better than an even sampling does, and if what it leaves unexplained is noise, not regions that another sensor saw too.
-//! Surfaces are too coarse to say exactly where: from there on, rays are counted among those that lie together in view. The
-//! frame's origin is taken where the densities lead to it and, as that of a camera whose images were fused, where they do not
-//! tell and the cloud lies ahead of it, most of it in view.
+//! better than even sampling does, and if its residuals are noise and not regions that another sensor also saw. Surfaces are
+//! too coarse to give the exact place, so it is refined by counting rays in bundles of points that are neighbours in view. The
+//! frame's origin is taken if the densities lead to it. It is also taken, as the place of a camera whose images were fused, if
+//! the densities do not tell, the cloud lies ahead of it, and most of the cloud is in view.
 
 use std::collections::HashMap;
 use std::f64::consts::SQRT_2;
@@ -17,68 +17,68 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Neighbors, Point, Vector, eigen, vector};
 
-/// Number of points among which neighbours are searched, at most. Among fewer, neighbourhoods are wider than furniture.
+/// Maximum number of points among which neighbours are searched. With fewer, neighbourhoods are wider than furniture.
 const MAX_POINTS: usize = 16_384;
-/// Number of densities, at most.
+/// Maximum number of densities.
 const MAX_DENSITIES: usize = 1500;
-/// Fewer densities tell nothing.
+/// Minimum number of densities; fewer do not tell anything.
 const MIN_DENSITIES: usize = 100;
-/// Number of nearest points that give a density and a normal.
+/// Number of nearest points for a density and a normal.
 const NEIGHBORS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
-/// Largest ratio of the variance across a neighbourhood to the smaller one along it.
+/// Largest ratio of the variance across a neighbourhood to the smaller variance along it.
 const MAX_THICKNESS: f64 = 0.1;
-/// Smallest ratio of the two variances along it: less is a single beam.
+/// Smallest ratio of the two variances along a neighbourhood; a single beam has less.
 const MIN_WIDTH: f64 = 0.1;
-/// Residuals of log densities up to about this count fully. Those of random samples have a standard deviation of 0.25.
+/// Residuals of log densities up to about this count fully. In random samples they have a standard deviation of 0.25.
 const SCALE: f64 = 0.35;
-/// Smaller cosines are smoothed: a ray along a surface meets its roughness.
+/// Cosines below this are smoothed, because a ray along a surface hits its roughness.
 const MIN_COSINE: f64 = 0.03;
-/// Number of places along each axis of the grid from which the search starts.
+/// Number of places along each axis of the grid at which the search starts.
 const PLACES: i32 = 9;
-/// The grid reaches so many times the median distance of the points from their middle.
+/// The grid extends to this many times the median distance of the points from their middle.
 const REACH: f64 = 2.0;
-/// Number of densities that compare the places of the grid.
+/// Number of densities for comparing the places of the grid.
 const FEW_DENSITIES: usize = 200;
-/// Number of places of the grid from which the search starts.
+/// Number of places of the grid that are refined.
 const STARTS: usize = 5;
-/// A lattice of rays about an axis lowers the cost to this share at most. Scanners have 0.4 and less, cameras 0.06, others 0.8.
+/// Largest ratio of the costs with and without a lattice of rays. Scanners have 0.4 and less, cameras 0.06, others 0.8.
 const LATTICE_COST: f64 = 0.6;
-/// Number of bundles of rays that tell the place more exactly, at most, and of rays in each.
+/// Maximum number of bundles of rays that refine the place, and number of rays in each.
 const MAX_BUNDLES: usize = 700;
 const RAYS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
-/// Bundles cost less than this: of scanners and cameras they have up to 0.17, of single beams 0.22 and more.
+/// Upper limit of the cost of bundles. Those of scanners and cameras have up to 0.17, those of single beams 0.22 and more.
 const MAX_BUNDLE_COST: f64 = 0.2;
-/// Bundles are formed so many times.
+/// Number of times that bundles are formed.
 const ROUNDS: usize = 3;
-/// Number of steps of a search, at most, and of one round.
+/// Maximum number of steps of a search, and of one round.
 const MAX_STEPS: usize = 20;
 const FEW_STEPS: usize = 5;
-/// A sensor leaves at most this share unexplained: of the cost that an even sampling has, and with it of the points, which
-/// others hide. Made scans have up to 0.47, merged scans and models 0.53 and more.
+/// Largest unexplained share with a sensor: of the cost of even sampling, and of that plus the share of hidden points.
+/// Synthetic scans have up to 0.47, merged scans and models 0.53 and more.
 const MAX_UNEXPLAINED: f64 = 0.5;
-/// A place this near to the frame's origin is the origin. Unit: median distances of the points from there.
+/// A place this close to the frame's origin is the origin. Unit: median distances of the points from the origin.
 const AT_ORIGIN: f64 = 0.15;
-/// What a sensor leaves on surfaces is at most so many times the cost of the differences of neighbours, and so many times
-/// with that in view: merged scans, whose parts were seen by one sensor or by two, have 1.4 and 1.62 and more. To each cost
-/// is added this.
+/// Largest excess of residuals on surfaces, relative to the differences between neighbours; and largest product of it and the
+/// excess in view. Merged scans, whose parts were seen by one sensor or by two, have 1.4 and 1.62 and more. The last value is
+/// added to each cost.
 const MAX_EXCESS: f64 = 1.4;
 const MAX_EXCESS_IN_VIEW: f64 = 1.6;
 const EXCESS_NOISE: f64 = 0.05;
-/// Added to the cost of a fit: that of a perfect lattice is near 0.
+/// Added to the cost of a fit, because that of a perfect lattice is near 0.
 const MIN_NOISE: f64 = 0.02;
 /// Neighbours of this rank among the densities share few points with each other.
 const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
-/// Side of a pixel for what is visible, as the tangent of an angle, for a sensor within the cloud.
+/// Side of a pixel for visibility, as the tangent of an angle, for a sensor within the cloud.
 const PIXEL: f64 = 0.05;
-/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.9 and more,
-/// a model about its origin 0 to 0.1, and so has what several scanners saw around them.
+/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.9 and more.
+/// A model around its origin has 0 to 0.1, and so have points that several scanners saw around them.
 const MIN_AHEAD: f64 = 0.5;
-/// They are not far away either: the median point is at most so many median distances from there. They have 1.9 to 4.
+/// Nor are they far away: the median point is at most this many median distances from the camera. Fused images have 1.9 to 4.
 const MAX_AWAY: f64 = 4.5;
-/// And it sees more than this share of fused images, since it moved. They have 0.59 and more, merged scans from a corner of
-/// their room 0.52 and less.
+/// Smallest visible share of fused images; the camera moved, so it does not see all. They have 0.59 and more. Merged scans, seen
+/// from a corner of their room, have 0.52 and less.
 const MIN_FUSED: f64 = 0.56;
-/// No plane is nearer than the points at this quantile of nearness.
+/// No plane is closer than the points at this quantile of the inverse distance.
 const NEAREST: f64 = 0.95;
 
 /// The place of a cloud's sensor.
@@ -86,12 +86,12 @@ const NEAREST: f64 = 0.95;
 pub struct Sensor {
     /// The position, in the cloud's frame and units.
     pub position: [f64; 3],
-    /// Share of the points, 0 to 1, that nothing hides from there.
+    /// Share of the points, 0 to 1, that nothing hides from the sensor.
     pub visible: f64,
 }
 
 impl Sensor {
-    /// Finds the sensor of a cloud that was seen from one place; `None` for models, merged scans and whatever does not tell.
+    /// Finds the sensor of a cloud that was seen from one place. Returns `None` for models, merged scans and undecided cases.
     /// Points that are not finite do not count.
     pub fn find(points: &[Point]) -> Option<Self> {
         let points = sample(points);
@@ -124,7 +124,7 @@ impl Sensor {
         Some(Self { position: place.into(), visible: visible_share(&cloud.points, &place) })
     }
 
-    /// The frame's origin, if the fused images of a camera may have been taken there: their densities do not tell.
+    /// The frame's origin, if a camera there may have taken the fused images, whose densities do not tell.
     fn before_fused(points: &[Vector]) -> Option<Self> {
         let ahead = points.iter().filter_map(|point| point.try_normalize(0.0)).sum::<Vector>() / points.len() as f64;
         let (center, radius) = middle(points);
@@ -141,8 +141,8 @@ impl Sensor {
     }
 }
 
-/// One finite point of each of [`MAX_POINTS`] stretches of the cloud, at a random place in it: a fixed step would take the same
-/// columns of each row of a scan.
+/// One finite point of each of [`MAX_POINTS`] stretches of the cloud, at a random place in it. A fixed step would take the same
+/// columns in each row of a scan.
 fn sample(points: &[Point]) -> Vec<Vector> {
     let step = points.len().div_ceil(MAX_POINTS).max(1);
     let random = |(index, stretch): (usize, &[Point])| {
@@ -177,10 +177,10 @@ impl Density {
     }
 }
 
-/// Points that lie together.
+/// Points that lie close together.
 trait Patch {
     /// The logarithm of the number of rays per solid angle, or per cell of a lattice, that a sensor at a place would have
-    /// here, and its gradients by the place and by the lattice's axis.
+    /// here, and its gradients with respect to the place and the lattice's axis.
     fn density(&self, place: &Vector, lattice: Lattice, axis: &Vector) -> (f64, Vector, Vector);
 }
 
@@ -200,7 +200,7 @@ impl Patch for &Density {
     }
 }
 
-/// Points that are neighbours as seen from the sensor, on whatever surfaces.
+/// Points that are neighbours as seen from the sensor, on any surface.
 struct Bundle(Vec<Vector>);
 
 impl Bundle {
@@ -213,7 +213,7 @@ impl Bundle {
         Some(seen.map(|at| Self(bundle(at))).collect())
     }
 
-    /// The directions of the rays from a place and their nearness, and the mean direction.
+    /// The directions and inverse distances of the points from a place, and the mean direction.
     fn directions(&self, place: &Vector) -> (Vec<(Vector, f64)>, Vector) {
         let offsets = self.0.iter().map(|point| (point - place, (point - place).norm().max(f64::MIN_POSITIVE).recip()));
         let rays: Vec<_> = offsets.map(|(offset, nearness)| (nearness * offset, nearness)).collect();
@@ -227,7 +227,7 @@ impl Patch for Bundle {
         let (rays, mean) = self.directions(place);
         let (count, middle) = (rays.len() as f64, mean.try_normalize(f64::MIN_POSITIVE).unwrap_or(*axis));
         let across = |ray: &Vector| ray - mean - middle.dot(&(ray - mean)) * middle;
-        // The determinant is that of the spread across the middle ray.
+        // The determinant is that of the spread perpendicular to the middle ray.
         let mut spread = middle * middle.transpose();
         for (ray, _) in &rays {
             let across = across(ray);
@@ -248,19 +248,19 @@ impl Patch for Bundle {
     }
 }
 
-/// How the rays of a sensor lie about its axis.
+/// How the rays of a sensor are arranged about its axis.
 #[derive(Clone, Copy, PartialEq)]
 enum Lattice {
-    /// Equal angles all ways.
+    /// Equal angles in all directions.
     None,
-    /// Equal steps of elevation and azimuth: a scanner that turns about the axis.
+    /// Equal steps of elevation and azimuth: a scanner that rotates about the axis.
     Turning,
-    /// The squares of an image across the axis.
+    /// The pixels of an image perpendicular to the axis.
     Image,
 }
 
 impl Lattice {
-    /// The logarithm of a cell's solid angle at this cosine from the axis, and its derivative.
+    /// The logarithm of a cell's solid angle at this cosine to the axis, and its derivative.
     fn cell(self, height: f64) -> (f64, f64) {
         match self {
             Self::None => (0.0, 0.0),
@@ -292,25 +292,25 @@ fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The median of points, and their median distance from there.
+/// The median of the points, and their median distance from it.
 fn middle(points: &[Vector]) -> (Vector, f64) {
     let center = Vector::from_fn(|axis, _| median(points.iter().map(|point| point[axis]).collect()));
     (center, median(points.iter().map(|point| (point - center).norm()).collect()))
 }
 
-/// What it costs to say that the points are spread evenly over the surfaces.
+/// The cost of the hypothesis that the points are spread evenly over the surfaces.
 fn cost_of_even(densities: &[Density]) -> f64 {
     let usual = median(densities.iter().map(|density| density.log).collect());
     mean_cost(densities.iter().map(|density| density.log - usual))
 }
 
-/// A place of the sensor.
+/// A hypothesis about the sensor.
 #[derive(Clone, Copy)]
 struct Fit {
     place: Vector,
     lattice: Lattice,
     axis: Vector,
-    /// The logarithm of its rays per solid angle or cell.
+    /// The logarithm of the number of rays per solid angle or cell.
     log: f64,
     cost: f64,
 }
@@ -326,8 +326,8 @@ impl Fit {
         patch.density(&self.place, self.lattice, &self.axis).0 - self.log
     }
 
-    /// The best fit near this one to the bundles that are seen from there, and what it leaves; `None` if they are rays of single
-    /// beams, which have no width.
+    /// The best fit near this one to the bundles that are seen from there, and its excess; `None` if the bundles are rays of
+    /// single beams, which have no width.
     fn by_bundles(mut self, points: &[Vector]) -> Option<(Self, f64)> {
         let mut bundles = Vec::new();
         for _ in 0..ROUNDS {
@@ -339,7 +339,7 @@ impl Fit {
         (self.cost < MAX_BUNDLE_COST).then_some((self, left))
     }
 
-    /// The best fit near this one, by the method of Levenberg and Marquardt.
+    /// The best fit near this one, by the Levenberg–Marquardt method.
     fn improved(&self, patches: &[impl Patch], max_steps: usize) -> Self {
         let (mut best, mut damping) = (*self, 1e-3);
         for _ in 0..max_steps {
@@ -372,8 +372,8 @@ impl Fit {
     }
 }
 
-/// The best place, searched from a grid around the cloud by some densities, then by all. A scanner turns about an axis of its
-/// surroundings: the vertical, mostly.
+/// The best place. The search starts from a grid around the cloud with some densities and ends with all. A scanner rotates about
+/// a principal axis of its surroundings, mostly the vertical.
 fn search(densities: &[Density], points: &[Vector]) -> Fit {
     let (center, radius) = middle(points);
     let reach = REACH * radius;
@@ -396,8 +396,8 @@ fn search(densities: &[Density], points: &[Vector]) -> Fit {
     Fit::at(&all, best.place, best.lattice, best.axis).improved(&all, MAX_STEPS)
 }
 
-/// What a fit leaves, as a multiple of the differences of neighbours, apart from a smooth change with the direction: a LiDAR has
-/// more rays per solid angle at some elevations.
+/// The residuals of a fit relative to the differences between neighbours. A smooth change with the direction does not count: a
+/// LiDAR has more rays per solid angle at some elevations.
 fn excess(patches: Vec<(Vector, f64)>, place: &Vector) -> Option<f64> {
     let (points, mut residuals): (Vec<Vector>, Vec<f64>) = patches.into_iter().unzip();
     let near = Neighbors::new(points).ok()?;
@@ -418,17 +418,17 @@ fn excess(patches: Vec<(Vector, f64)>, place: &Vector) -> Option<f64> {
     Some((mean_cost(residuals.iter().copied()) + EXCESS_NOISE) / (mean_cost(differences) + EXCESS_NOISE))
 }
 
-/// The monomials up to degree 2 of a direction: all its smooth functions.
+/// The monomials of a direction up to degree 2: a basis of smooth functions.
 fn smooth_functions(direction: &Vector) -> SVector<f64, 10> {
     let [x, y, z] = (direction / direction.norm().max(f64::MIN_POSITIVE)).into();
     SVector::from([1.0, x, y, z, x * x, y * y, z * z, x * y, y * z, z * x])
 }
 
-/// The share of the points that no other hides from a place, in pixels on the faces of a cube around it.
+/// The share of the points that no other point hides from a place, in pixels on the faces of a cube around it.
 fn visible_share(points: &[Vector], place: &Vector) -> f64 {
     let center = points.iter().sum::<Vector>() / points.len() as f64;
     let radius = points.iter().map(|point| (point - center).norm()).fold(0.0, f64::max);
-    // From afar the cloud is small, and so are its pixels.
+    // A cloud that is seen from afar appears small, so its pixels are smaller.
     let side = PIXEL * (radius / (center - place).norm().max(f64::MIN_POSITIVE)).min(1.0);
     let pixel = |point: &Vector| {
         let offset = point - place;
@@ -443,7 +443,7 @@ fn visible_share(points: &[Vector], place: &Vector) -> f64 {
     for (pixel, nearness) in &seen {
         nearest.entry(pixel).and_modify(|most: &mut f64| *most = nearness.max(*most)).or_insert(*nearness);
     }
-    // Within a pixel, the inverse distance of a plane varies by the side over the plane's own distance.
+    // Within a pixel, the inverse distance of a plane varies by the pixel's side divided by the plane's distance.
     let mut sorted: Vec<f64> = seen.iter().map(|(_, nearness)| *nearness).collect();
     let at = (NEAREST * (sorted.len() - 1) as f64) as usize;
     let tolerance = side * *sorted.select_nth_unstable_by(at, f64::total_cmp).1;
@@ -458,7 +458,7 @@ mod tests {
     const EYES: [[f64; 3]; 2] = [[2.0, 1.5, 1.4], [4.5, 3.0, 1.2]];
     const SITE: Vector = Vector::new(30.0, -20.0, 5.0);
 
-    /// What a scanner sees of a room of 6 x 4.5 x 2.6 m, moved by a site's coordinates.
+    /// What a scanner sees of a room of 6 x 4.5 x 2.6 m, in site coordinates.
     fn scan(eye: [f64; 3]) -> Vec<Point> {
         let seen = |index: u32| {
             let (elevation, azimuth) = (f64::from(index / 300) * 0.02 - 1.0, f64::from(index % 300) * 0.020_944);

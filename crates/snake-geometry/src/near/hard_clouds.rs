@@ -1,4 +1,4 @@
-//! Clouds that are hard for k-d trees, with ties and repeated points, for the tests.
+//! Clouds that are hard for k-d trees, with ties and repeated points, for tests.
 
 use crate::Point;
 

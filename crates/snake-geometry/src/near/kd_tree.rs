@@ -1,7 +1,7 @@
 //! A k-d tree whose queries stay fast for every arrangement of points.
 //!
 //! kiddo's queries take linear time if the points are equal, or lie on a line or plane along the axes, as in drawings
-//! and in scans with repeated points. This tree therefore holds the distinct points, and rotates them out of the axes.
+//! and in scans with repeated points. This tree therefore holds only the distinct points, rotated away from the axes.
 //! Distances are computed again from the original points, so results are exact, and ties are broken by index.
 
 use std::num::NonZeroUsize;
@@ -20,7 +20,7 @@ pub struct KdTree<T> {
     distinct: Vec<[T; 3]>,
     /// The largest absolute coordinate.
     extent: f64,
-    /// For each distinct point the start of its range in `indices`; the range ends at the next start.
+    /// For each distinct point, the start of its range in `indices`; the range ends at the next start.
     starts: Vec<u32>,
     /// The indices of equal points, ascending.
     indices: Vec<u32>,
@@ -98,10 +98,10 @@ impl<T: RealField + Copy + Into<f64>> KdTree<T> {
     fn near(&self, query: &[T; 3], number: NonZeroUsize) -> Vec<(usize, T)> {
         let Some(tree) = &self.tree else { return Vec::new() };
         let rotated = rotate(&self.rotation, query);
-        // The search takes memory for as many as it is asked for.
+        // The search allocates memory for all points that it is asked for.
         let number = number.min(NonZeroUsize::new(self.distinct.len()).unwrap_or(number));
         let first = tree.query(&rotated).nearest_n::<SquaredEuclidean<f64>>(number).execute();
-        // Rounding of the rotated points may have put nearer points behind the last of these.
+        // Rotated points are rounded, so nearer points may come after the last of these.
         let radius = self.reach(query, first.iter().fold(0.0, |most: f64, entry| most.max(entry.distance)).sqrt());
         let near = tree.query(&rotated).within::<SquaredEuclidean<f64>>(radius * radius).unsorted().execute();
         let distance = |distinct: usize| (distinct, squared_distance(query, &self.distinct[distinct]));
@@ -159,7 +159,7 @@ mod tests {
         }
     }
 
-    // This test would take minutes and not a second if each query looked at all points.
+    // This test would take minutes instead of a second if each query visited all points.
     #[test]
     fn every_point_of_a_hard_cloud_finds_its_neighbours() {
         for points in hard_clouds::large() {

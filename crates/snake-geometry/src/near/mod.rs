@@ -1,4 +1,4 @@
-//! Neighbours of points. The table of the crate says which structure answers which question.
+//! Neighbours of points. A table in the crate's documentation says which structure to use.
 
 #[cfg(test)]
 pub(crate) mod hard_clouds;

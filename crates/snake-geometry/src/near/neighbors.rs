@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{Error, KdTree, Result};
 
-/// The limit of the number of neighbour pairs; more would take minutes.
+/// Maximum number of neighbour pairs; more would take minutes or hours.
 const MAX_PAIRS: f64 = 1e10;
 
 /// A point or an offset in f64.
@@ -32,8 +32,8 @@ impl Neighbors {
         Ok(Self { points, tree: KdTree::new(&rows)? })
     }
 
-    /// Refuses a radius with so many neighbours that a search would take hours, as for a cloud that consists almost only
-    /// of one repeated point.
+    /// Refuses a radius with so many neighbours that a search would take too long, such as for a cloud that consists almost
+    /// only of one repeated point.
     pub fn check_density(&self, name: &'static str, radius: f64) -> Result<()> {
         // All points of a cell are closer to each other than the radius.
         let cell = |point: &Vector| point.map(|v| ((v * 2.0 / radius).floor() + 0.0).to_bits());
@@ -50,7 +50,7 @@ impl Neighbors {
         Err(Error::Input { what: "points", reason })
     }
 
-    /// Indices, ascending, of the points closer than `radius`; a distance equal to `radius` does not count, as in
+    /// Indices, ascending, of the points closer than `radius`. Points at a distance equal to `radius` do not count, as in
     /// Open3D.
     pub fn within(&self, query: &Vector, radius: f64) -> Vec<usize> {
         let squared = radius * radius;
@@ -78,7 +78,7 @@ impl Neighbors {
 
     /// Mean distance of the distinct points to their nearest other point; 0 for one point.
     pub fn resolution(&self) -> f64 {
-        // In the given order where no points are equal, which keeps the sum's bits.
+        // If no points are equal, they are taken in the given order, which keeps the bits of the sum.
         let are_distinct = self.tree.distinct().len() == self.points.len();
         let gap = |point: &[f64; 3]| self.tree.nearest_other(point).map_or(0.0, f64::sqrt);
         let nearest: Vec<f64> = if are_distinct {
@@ -105,14 +105,14 @@ impl Neighbors {
         indices.iter().map(squared).sum()
     }
 
-    /// The unit normal of a neighbourhood, which is the direction of least variance; its sign is arbitrary. It needs at
-    /// least three points.
+    /// The unit normal of a neighbourhood: the direction of least variance, with arbitrary sign. `None` for fewer than three
+    /// points.
     pub fn normal(&self, indices: &[usize]) -> Option<Vector> {
         (indices.len() >= 3).then(|| eigen(self.covariance(indices)).1)
     }
 }
 
-/// Eigenvalues, ascending, and the eigenvector of the smallest.
+/// The eigenvalues, ascending, and the eigenvector of the smallest one.
 pub fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(symmetric);
     let mut order = [0, 1, 2];
@@ -120,7 +120,7 @@ pub fn eigen(symmetric: Matrix3<f64>) -> ([f64; 3], Vector) {
     (order.map(|i| eigenvalues[i]), eigenvectors.column(order[0]).into())
 }
 
-/// The standard deviation of points in the direction in which they vary least; 0 for less than two.
+/// The standard deviation of points along the direction of least variance; 0 for fewer than two points.
 pub fn least_spread(points: &[Vector]) -> f64 {
     let count = points.len().max(1) as f64;
     let mean = points.iter().sum::<Vector>() / count;

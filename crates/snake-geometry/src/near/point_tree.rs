@@ -4,13 +4,13 @@ use std::ops::{Add, Mul, Sub};
 
 use crate::{Error, Point, Result};
 
-/// Smaller parts of the tree are searched point by point.
+/// Parts of the tree up to this size are searched point by point.
 const LEAF: usize = 12;
 
-/// Smaller parts of the tree are built by one thread.
+/// Parts of the tree below this size are built by one thread.
 const PART: usize = 1 << 12;
 
-/// A point of the tree. The middle one of a part splits it.
+/// A point of the tree. The middle point of a part splits it.
 #[derive(Clone, Copy, Default)]
 struct Node {
     point: Point,
@@ -21,7 +21,7 @@ struct Node {
     lowest: u32,
 }
 
-/// Finite points, sorted so that the middle of each part splits it along its widest axis.
+/// Finite points, sorted so that the middle point of each part splits it along its widest axis.
 ///
 /// Searches are exact, and fast for every arrangement of points: equal points, and points on a line or plane.
 pub struct PointTree(Vec<Node>);
@@ -29,7 +29,7 @@ pub struct PointTree(Vec<Node>);
 /// The nearest point of a search: its squared distance and its index.
 type Nearest<T> = (T, u32);
 
-/// `f32` or `f64`, in which distances are computed.
+/// `f32` or `f64`: the type in which distances are computed.
 pub trait Real: Copy + PartialOrd + From<f32> + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {}
 impl Real for f32 {}
 impl Real for f64 {}
@@ -48,17 +48,17 @@ impl PointTree {
         Ok(Self(nodes))
     }
 
-    /// The squared distance and the index of the point nearest to a query; the lowest index among equally near points. The point
-    /// with the index `but` does not count. Without any point the distance is infinite.
+    /// The squared distance and the index of the point nearest to a query; among equally near points, the lowest
+    /// index. The point with the index `but` does not count. The distance is infinite if there is no other point.
     pub fn nearest<T: Real>(&self, query: &Point, but: Option<usize>) -> (T, usize) {
         let mut best = (T::from(f32::INFINITY), u32::MAX);
         search(&self.0, query, but, &mut best);
         (best.0, best.1 as usize)
     }
 
-    /// The squared distance of each point to its nearest other one; infinite for one point.
+    /// The squared distance of each point to its nearest other point; infinite for a single point.
     ///
-    /// Each search begins in the part of the point, and goes out to the parts beyond the planes that are near enough.
+    /// Each search begins in the point's own part and continues beyond the splitting planes that are close enough.
     pub fn nearest_others(&self) -> Vec<f64> {
         let mut by_node = vec![f64::INFINITY; self.0.len()];
         nearest_others(&self.0, None, &mut by_node);
@@ -90,7 +90,7 @@ fn split(nodes: &mut [Node]) -> u32 {
     middle.lowest
 }
 
-/// The parts beyond the planes about a part, from the last plane to the first.
+/// A list of the parts beyond the planes around a part, from the innermost plane outwards.
 struct Beyond<'a> {
     middle: &'a Node,
     far: &'a [Node],
@@ -140,14 +140,14 @@ fn search<T: Real>(nodes: &[Node], query: &Point, but: Option<usize>, best: &mut
     let offset = T::from(query[axis]) - T::from(middle.point[axis]);
     let (near, far) = if offset < T::from(0.0) { (before, after) } else { (after, before) };
     search(near, query, but, best);
-    // Rounding is monotone, so no point beyond the plane is nearer than the plane, also in these numbers.
+    // Rounding is monotone, so no point beyond the plane is nearer than the plane, also after rounding.
     let distance = offset * offset;
     if distance < best.0 || distance == best.0 && lowest(far) < best.1 {
         search(far, query, but, best);
     }
 }
 
-/// The lowest index of a part, or 0 for a small one.
+/// The lowest index of a part, or 0 for a small part.
 fn lowest(nodes: &[Node]) -> u32 {
     if nodes.len() <= LEAF { 0 } else { nodes[nodes.len() / 2].lowest }
 }
@@ -198,7 +198,7 @@ mod tests {
         }
     }
 
-    // This test would take minutes and not a second if each query looked at all points.
+    // This test would take minutes instead of a second if each query visited all points.
     #[test]
     fn every_point_of_a_hard_cloud_finds_its_neighbour() {
         for points in hard_clouds::large() {

@@ -1,4 +1,4 @@
-//! Points in cells as wide as a radius, for queries within it.
+//! Points in cells as wide as a radius, for queries within this radius.
 
 use std::ops::RangeInclusive;
 
@@ -6,35 +6,35 @@ use rayon::prelude::*;
 
 use crate::{Error, Point, Result};
 
-/// Bits of a cell's number along an axis. Cells so many steps apart have the same number, which costs time and no result.
+/// Bits of a cell's number along an axis. Cells 2^21 steps apart have the same number, which costs time but changes no result.
 const BITS: u64 = 21;
 
-/// The largest number of a cell along an axis. After it comes 0.
+/// The largest number of a cell along an axis; the next cell has number 0.
 const LAST: u64 = (1 << BITS) - 1;
 
-/// Distances in `f32` are rounded: a point within the radius is at most this many radii away.
+/// Distances in `f32` are rounded, so a point within the radius is at most this many radii away.
 const MARGIN: f64 = 1.0 + 1e-6;
 
-/// Points sorted into cells that are as wide as a radius: a query within it looks at 27 cells at most, one within another radius at
-/// more or larger cells than it needs.
+/// Points sorted into cells that are as wide as a radius. A query within this radius visits at most 27 cells; a query within another
+/// radius visits more cells, or larger ones than it needs.
 ///
-/// Where the queries themselves are at least a share of the radius apart, as in suppression, each point is looked at a
-/// bounded number of times, for every arrangement of points but those that make numbers of cells coincide.
+/// If the queries are at least a fixed share of the radius apart, as in suppression, each point is visited a bounded number
+/// of times, for every arrangement of points except those in which the numbers of cells coincide.
 pub struct RadiusCells<'a> {
     points: &'a [Point],
     radius: f32,
     side: f64,
     /// The cell and the index of each point, ascending.
     members: Vec<(u64, u32)>,
-    /// The place of each cell's first member, in a hash table with linear probing that is at most half full.
+    /// The index in `members` of each cell's first member, in a hash table with linear probing that is at most half full.
     firsts: Vec<u32>,
 }
 
-/// No cell: a slot of the hash table that is free.
+/// Marks a free slot of the hash table.
 const FREE: u32 = u32::MAX;
 
 impl<'a> RadiusCells<'a> {
-    /// Sorts finite points for queries within about `radius`, which is positive.
+    /// Sorts finite points for queries within about `radius`, which must be positive.
     ///
     /// # Errors
     /// [`Error::Input`] for more points than [`u32::MAX`].
@@ -62,13 +62,13 @@ impl<'a> RadiusCells<'a> {
         self.points
     }
 
-    /// The radius that the cells are as wide as.
+    /// The radius that is the width of the cells.
     pub fn radius(&self) -> f32 {
         self.radius
     }
 
-    /// Calls `visit` with the index of each point at most `radius` from a position, in an order that depends on the points
-    /// alone.
+    /// Calls `visit` with the index of each point at most `radius` from a position. The order depends only on the
+    /// points.
     pub fn within(&self, position: &Point, radius: f32, mut visit: impl FnMut(usize)) {
         let [xs, ys, zs] = position.map(|value| self.reached(value, radius));
         for [y, z] in zs.flat_map(|z| ys.clone().map(move |y| [y, z])) {
@@ -86,7 +86,7 @@ impl<'a> RadiusCells<'a> {
         }
     }
 
-    /// The slot of a cell, which is free if the cell has no members.
+    /// The slot of a cell; it is free if the cell has no members.
     fn slot(&self, cell: u64) -> usize {
         // Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4).
         let hash = cell.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - self.firsts.len().ilog2());
@@ -102,15 +102,15 @@ impl<'a> RadiusCells<'a> {
         position.map(|value| number(floor(f64::from(value) / self.side)))
     }
 
-    /// The cells that a radius about a coordinate reaches. Far from zero, where cells are finer than `f32`, equal coordinates have the
-    /// same cell, and others are farther apart than the radius.
+    /// The cells within a radius of a coordinate. Far from zero, where cells are finer than the steps of `f32`, equal coordinates have
+    /// the same cell, and different ones are farther apart than the radius.
     fn reached(&self, value: f32, radius: f32) -> RangeInclusive<i64> {
         let [place, reach] = [f64::from(value), f64::from(radius) * MARGIN].map(|length| length / self.side);
         floor(place - reach)..=floor(place + reach)
     }
 }
 
-/// The integer at or below a place. Places beyond all integers have the last one.
+/// The largest integer that is at most `place`, saturated to the range of `i64`.
 fn floor(place: f64) -> i64 {
     let whole = place as i64;
     if whole as f64 > place { whole.saturating_sub(1) } else { whole }
@@ -121,7 +121,7 @@ fn number(cell: i64) -> u64 {
     cell as u64 & LAST
 }
 
-/// One number for a cell.
+/// The key of a cell.
 fn key([x, y, z]: [u64; 3]) -> u64 {
     x | y << BITS | z << (2 * BITS)
 }
@@ -141,7 +141,7 @@ mod tests {
         let random: Vec<Point> = (0..300).map(|i| [at(i, 131), at(i, 577), at(i, 883)]).collect();
         let lattice: Vec<Point> = (0..300_u16).map(|i| [i % 5, i / 5 % 5, i % 7].map(|v| 0.1 * f32::from(v))).collect();
         let far = vec![[3e38; 3], [-3e38; 3], [0.0; 3], [1e-40; 3], [0.05, 0.0, 0.0]];
-        // Cells with the same number, and cells on both sides of the last number.
+        // Cells with the same number, and cells on both sides of the largest number.
         let period = 0.3 * (1.0 + 1e-6) * (LAST + 1) as f32;
         let same: Vec<Point> =
             (0..60).map(|i| [(i % 3 - 1) as f32 * period + 0.1 * i as f32, 0.05 * i as f32, period]).collect();
@@ -161,7 +161,7 @@ mod tests {
         }
     }
 
-    // This test would take a minute and not a second if the far point made the cells wider.
+    // This test would take a minute instead of a second if the far point made the cells wider.
     #[test]
     fn a_point_far_away_costs_no_time() {
         let at = |i: u32, factor: u32| (i.wrapping_mul(factor) >> 8) as f32 / (1 << 24) as f32;

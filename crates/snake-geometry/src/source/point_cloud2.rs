@@ -35,7 +35,7 @@ pub struct PointCloud2Layout {
 /// Magnitudes of coordinates that are not zero, in any unit.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 
-/// Points whose byte order is checked.
+/// Maximum number of points whose byte order is checked.
 const MAX_CHECKED: usize = 1000;
 
 /// A cloud of strided bytes, without a copy. Coordinates are of any type. As a [`PointSource`] they are read as `f32`;
@@ -79,8 +79,8 @@ impl<'a> PointCloud2View<'a> {
         Ok(view)
     }
 
-    /// Whether most of the coordinates are plausible in the other byte order alone. Three of four numbers with swapped
-    /// bytes are not, and zeros are zeros in both orders.
+    /// Whether most of the coordinates are plausible only in the other byte order. With swapped
+    /// bytes three of four numbers are not plausible; zeros are zeros in both orders.
     fn has_swapped_bytes(&self) -> bool {
         let is_bigendian = !self.layout.is_bigendian;
         let swapped = Self { layout: PointCloud2Layout { is_bigendian, ..self.layout }, ..*self };
@@ -102,7 +102,7 @@ impl<'a> PointCloud2View<'a> {
         Cloud::from_positions((0..self.num_points()).map(|index| self.position(index)))
     }
 
-    /// A point with all digits.
+    /// A point with full precision.
     fn position(&self, index: usize) -> [f64; 3] {
         let PointCloud2Layout { width, point_step, row_step, .. } = self.layout;
         let start = index / width * row_step + index % width * point_step;
@@ -141,7 +141,7 @@ impl PointSource for PointCloud2View<'_> {
     }
 }
 
-/// The bytes from one row to the next in data of this length.
+/// The number of bytes from one row to the next, for data of this length.
 fn row_step(layout: &PointCloud2Layout, length: usize) -> Result<usize> {
     let PointCloud2Layout { height, width, point_step, row_step, .. } = *layout;
     let refuse = |what, reason| Err(Error::Input { what, reason });
@@ -248,7 +248,7 @@ mod tests {
             let error = PointCloud2View::new(lie, &fields, &data).unwrap_err().to_string();
             assert!(error.contains("is_bigendian") && error.contains("byte order"), "{error}");
         }
-        // Unusual coordinates are not taken for swapped bytes: zeros, missing points, and lengths of astronomy.
+        // Unusual coordinates do not count as swapped bytes: zeros, missing points, and astronomical lengths.
         let fields = [field("x", 0, 7), field("y", 4, 7), field("z", 8, 7)];
         let layout = PointCloud2Layout { height: 1, width: 40, point_step: 12, row_step: 480, is_bigendian: false };
         let values: [fn(f32) -> f32; 4] = [|_| 0.0, |_| f32::NAN, |i| 1e16 * i.sin(), |i| 1e-20 * i.cos()];
@@ -300,7 +300,7 @@ mod tests {
                 assert!(points(row_step, wrong).is_err(), "{row_step}, {} bytes", wrong.len());
             }
         }
-        // In one row it does not matter.
+        // With a single row, the step does not matter.
         let one = PointCloud2Layout { height: 1, width: 6, row_step: 0, ..layout };
         assert_eq!(PointCloud2View::new(one, &fields, &data).unwrap().to_points(), expected);
     }

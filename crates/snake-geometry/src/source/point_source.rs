@@ -1,9 +1,9 @@
-//! Clouds in other layouts than `&[[f32; 3]]`.
+//! Clouds whose layout is not `&[[f32; 3]]`.
 
 use crate::{Error, Point, Result};
 
-/// A cloud that gives its points one by one: what `FrameDetector::detect_into` of snake-core takes.
-/// For other calls, [`PointSource::to_points`] copies it.
+/// A cloud that provides its points one by one, for `FrameDetector::detect_into` of snake-core. For other calls,
+/// [`PointSource::to_points`] copies it.
 ///
 /// Types that have the layout of `[f32; 3]`, such as `glam::Vec3` and `nalgebra::Point3<f32>`, need none of this:
 /// `bytemuck::cast_slice` turns a slice of them into a slice of points without a copy. `bytemuck::try_cast_slice` returns an
@@ -12,7 +12,7 @@ use crate::{Error, Point, Result};
 /// Points that are not finite stay: the detector skips them, and
 /// [`Keypoint::nearest_index`](crate::Keypoint::nearest_index) counts them.
 pub trait PointSource {
-    /// Number of points, those that are not finite included.
+    /// Number of points, including those that are not finite.
     fn num_points(&self) -> usize;
 
     /// Point `index`, in cloud units.
@@ -21,7 +21,7 @@ pub trait PointSource {
     /// If the index is not below [`PointSource::num_points`].
     fn point(&self, index: usize) -> Point;
 
-    /// All points `(N, 3)`, in their order.
+    /// All points `(N, 3)`, in order.
     fn to_points(&self) -> Vec<Point> {
         (0..self.num_points()).map(|index| self.point(index)).collect()
     }

@@ -4,17 +4,17 @@ use rayon::prelude::*;
 
 use crate::Point;
 
-/// Points that one thread compares with the last choice.
+/// Number of points that one thread compares with the last choice.
 const SHARE: usize = 1 << 13;
 
-/// At most `number` distinct finite points, each the farthest from all before it: their indices, and their squared distances
-/// from those before, which is infinite for the first.
+/// At most `number` distinct finite points, each the farthest from all earlier ones. Returns their indices and their squared
+/// distances from the earlier ones; that of the first is infinite.
 ///
-/// The first is the farthest from the mean, so the choice rotates with the cloud. Among equally far points the lowest index
-/// is taken. `check` is called before each choice.
+/// The first point is the farthest from the mean, so the choice rotates with the cloud. Among equally far points the
+/// lowest index is taken. `check` is called before each choice.
 ///
 /// # Errors
-/// Those of `check`.
+/// The errors of `check`.
 pub fn farthest_points<E>(
     points: &[Point],
     number: usize,

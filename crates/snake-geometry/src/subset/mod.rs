@@ -1,4 +1,4 @@
-//! Some points of many: suppression, samples, farthest points.
+//! Subsets of points: suppression, samples, farthest points.
 
 mod farthest;
 mod nms;

@@ -7,17 +7,17 @@ use rayon::prelude::*;
 use crate::{KdTree, Point, PointTree, RadiusCells, Result};
 use snake_kernels::SimdLevel;
 
-/// Greedy non-maximum suppression: indices of the kept points, best first, each farther than `radius` from all earlier
-/// ones.
+/// Greedy non-maximum suppression. Returns the indices of the kept points, best first; each is farther than `radius` from
+/// all earlier ones.
 ///
-/// Points are processed by falling score and, for equal scores, by rising index. At most `limit` are kept.
+/// Points are processed in order of falling score and, for equal scores, of rising index. At most `limit` are kept.
 /// A radius of 0 suppresses only by `limit`.
 pub fn suppress(points: &[Point], scores: &[f32], radius: f32, limit: usize) -> Result<Vec<usize>> {
     suppress_in_order(points, by_falling_score(scores), radius, limit)
 }
 
-/// Greedy non-maximum suppression of points `(N, 3)` that are ranked, best first: indices of the kept points, in the
-/// same order, each farther than `radius` from all earlier ones.
+/// Greedy non-maximum suppression of points `(N, 3)` that are sorted best first. Returns the indices of the kept points,
+/// in the same order; each is farther than `radius` from all earlier ones.
 ///
 /// At most `limit` are kept. A radius of 0 suppresses only by `limit`.
 ///
@@ -36,20 +36,20 @@ fn suppress_in_order(points: &[Point], mut order: Vec<usize>, radius: f32, limit
     Ok(keep_in_order(&cells, &order, cells.radius(), limit))
 }
 
-/// Indices by falling score and, for equal scores, rising.
+/// Indices in order of falling score and, for equal scores, of rising index.
 pub fn by_falling_score(scores: &[f32]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..scores.len()).collect();
     order.sort_unstable_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     order
 }
 
-/// The points of `order` that suppression keeps, by a radius of at most that of the cells.
+/// The points of `order` that suppression keeps, with a radius of at most that of the cells.
 pub fn keep_in_order(cells: &RadiusCells, order: &[usize], radius: f32, limit: usize) -> Vec<usize> {
     keep_apart(order, limit, |index, found| cells.within(&cells.points()[index], radius, found))
 }
 
-/// The points of `order` that suppression keeps. `within` calls its second argument with each point within the radius of a
-/// point.
+/// The points of `order` that suppression keeps. `within(index, visit)` must call `visit` with each
+/// point within the radius of point `index`.
 pub fn keep_apart(order: &[usize], limit: usize, within: impl Fn(usize, &mut dyn FnMut(usize))) -> Vec<usize> {
     let mut suppressed = vec![false; order.len()];
     let mut kept = Vec::with_capacity(limit.min(order.len()));
@@ -76,19 +76,19 @@ pub enum Fate {
     Unknown,
 }
 
-/// Greedy non-maximum suppression where only a part of a cloud is known. The points `(N, 3)` are ranked, best first. Returns
-/// what the suppression of the whole cloud does with each of them.
+/// Greedy non-maximum suppression if only a part of a cloud is known. The points `(N, 3)` are sorted best first. Returns the
+/// fate of each point in the suppression of the whole cloud.
 ///
-/// `sees_all` says whether the points include all points of the whole cloud within the radius of a point. A fate is known
-/// if it follows from such points alone.
+/// `sees_all` says whether the known points include all points of the whole cloud within the radius of a point. A fate is
+/// known if it follows from such points alone.
 pub fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usize) -> bool) -> Result<Vec<Fate>> {
     if radius <= 0.0 {
         return Ok(vec![Fate::Kept; points.len()]);
     }
     let tree = KdTree::new(points)?;
     let mut fates = vec![None; points.len()];
-    // All points of a cell are within the radius of each other, so one of unknown fate leaves those of lower rank unknown.
-    // Candidates are dense: without cells each of them would look at thousands of others.
+    // All points of a cell are within the radius of each other, so a point of unknown fate makes those of
+    // lower rank unknown. Candidates are dense: without cells, each of them would visit thousands of others.
     let cell = |point: Point| point.map(|value| (f64::from(value) / (0.57 * f64::from(radius))).floor() as i64);
     let mut unknown_cells = HashSet::new();
     let mut near = Vec::new();
@@ -131,7 +131,7 @@ pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>>
     Ok(nearest.into_iter().map(|(_, index)| index).collect())
 }
 
-/// Points per tree. Large clouds are searched with several, one at a time, to save memory.
+/// Points per tree. Large clouds are searched with several trees, one at a time, to save memory.
 const TREE_POINTS: usize = 1 << 16;
 
 fn nearest_of_all(points: &[Point], query: Point) -> usize {
@@ -149,10 +149,10 @@ mod tests {
         (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
     }
 
-    /// Suppression in the order given, by one structure for the neighbours.
+    /// Suppression in the given order, with one structure for neighbours.
     type Suppression = fn(&[Point], &[usize], f32, usize) -> Vec<usize>;
 
-    /// The plain definition, and what must equal it: kiddo's tree, and the cells that detection uses.
+    /// The plain definition, and the structures that must equal it: kiddo's tree, and the cells that detection uses.
     const SUPPRESSIONS: [(&str, Suppression); 2] = [
         ("tree", |points, order, radius, limit| {
             let tree = KdTree::new(points).unwrap();
@@ -223,7 +223,7 @@ mod tests {
             let fates = suppress_seen(&positions, 0.4, |rank| positions[rank][0] + 0.4001 < high).unwrap();
             let known = part.iter().zip(&fates).filter(|(_, fate)| **fate != Fate::Unknown);
             assert!(known.clone().all(|(&i, fate)| *fate == all[i]));
-            // The fates at the border are not all known.
+            // Not all fates at the border are known.
             assert!((part.len() / 10..part.len()).contains(&known.count()));
         }
     }
@@ -263,7 +263,7 @@ mod tests {
     #[test]
     fn the_tree_and_the_scan_find_the_same_point() {
         let point = |i: u32| std::array::from_fn(|axis| scattered(i, axis));
-        // There are so many points that several trees have equally near points.
+        // With this many points, several trees have equally near points.
         let points: Vec<Point> = (0..2 * TREE_POINTS as u32 + 1000).map(point).collect();
         let queries: Vec<Point> = (5000..5300).map(point).collect();
         let scanned: Vec<usize> = queries.iter().map(|&query| nearest_of_all(&points, query)).collect();

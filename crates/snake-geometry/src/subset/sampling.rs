@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::Point;
 
-/// `number` of the points, drawn at random without replacement, in their order. `number` is at most that of the points.
+/// `number` points, drawn at random without replacement, in the order of the cloud. `number` is at most their count.
 pub fn sample(points: &[Point], number: usize, seed: u64) -> Vec<Point> {
     let mut drawn = index::sample(&mut ChaCha8Rng::seed_from_u64(seed), points.len(), number).into_vec();
     drawn.sort_unstable();

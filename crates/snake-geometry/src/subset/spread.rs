@@ -1,20 +1,20 @@
-//! Keypoints that are spread evenly: the suppression radius that leaves the wanted number.
+//! Evenly spread keypoints: finds the suppression radius that leaves the wanted number.
 
 use crate::{KdTree, Point, Result, keep_apart};
 
-/// The radius is found up to this share of itself,
+/// Relative precision of the radius.
 const PRECISION: f64 = 1e-3;
-/// or until at most this share more than the wanted number is left.
+/// The search also ends if at most this share more than the wanted number is left.
 const SURPLUS: f64 = 0.05;
 
-/// Non-maximum suppression to a number of points instead of by a radius: the indices of `count` of the points `(N, 3)`,
-/// which are ranked best first, in the same order, and the radius in cloud units by which they are apart.
+/// Non-maximum suppression to a number of points instead of by a radius. The points `(N, 3)` are sorted best first. Returns
+/// the indices of `count` points, in the same order, and their distance from each other: the radius in cloud units.
 ///
 /// The radius is about the largest that leaves `count` points, or up to a twentieth more, of which the best `count` are
 /// kept. It is found by bisection (suppression via square covering: Bailo et al.,
 /// "Efficient adaptive non-maximal suppression algorithms for homogeneous spatial keypoint distribution", 2018). The points
-/// cover the cloud, where the best `count` points alone would cluster. All points are returned, with a radius of 0, if there
-/// are no more than `count`.
+/// cover the cloud, whereas the best `count` points alone would cluster. If there are at most `count` points, all are
+/// returned, with a radius of 0.
 ///
 /// ```
 /// use snake_geometry::suppress_to_count;
@@ -35,8 +35,8 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     }
     let tree = KdTree::new(points)?;
     let most = count + (SURPLUS * count as f64) as usize;
-    // One more than `most` tells that the radius is too small.
-    // A tree serves all radii.
+    // One point more than `most` shows that the radius is too small.
+    // One tree serves all radii.
     let kept_by = |radius: f32| {
         keep_apart(&order(), most + 1, |index, visit| {
             tree.within(&points[index], radius * radius, |other, _| visit(other));
@@ -45,7 +45,7 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     let mut kept = (order(), 0.0);
     let (mut low, mut high) = (0.0, diagonal(points));
     while high - low > PRECISION * high && kept.0.len() > most {
-        // The number falls with the square of the radius on a surface: halving is faster from above than from below.
+        // On a surface, the number falls with the square of the radius: halving from above is faster than from below.
         let middle = if low > 0.0 { f64::midpoint(low, high) } else { high / 2.0 };
         if middle as f32 <= 0.0 {
             break;
@@ -62,7 +62,7 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     Ok(kept)
 }
 
-/// The diagonal of the bounding box, within the numbers of `f32`.
+/// The diagonal of the bounding box, limited so that its square fits into `f32`.
 fn diagonal(points: &[Point]) -> f64 {
     let extent = |axis: usize| {
         let along = || points.iter().map(|point| f64::from(point[axis]));
@@ -75,7 +75,7 @@ fn diagonal(points: &[Point]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Points of a square. The first half, the best, lie in its corner.
+    /// Points in a square. The first half, which ranks best, lies in one corner.
     fn clustered() -> Vec<Point> {
         let at = |i: u32, factor: u32| (i * factor % 997) as f32 / 997.0;
         let corner = (1..=450).map(|i| [0.2 * at(i, 131), 0.2 * at(i, 577), 0.0]);
@@ -86,7 +86,7 @@ mod tests {
         (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>().sqrt()
     }
 
-    /// The mean distance of the points to the nearest that is kept.
+    /// The mean distance of the points to the nearest kept point.
     fn coverage(points: &[Point], kept: &[usize]) -> f32 {
         let nearest = |p: &Point| kept.iter().map(|&i| distance(*p, points[i])).fold(f32::INFINITY, f32::min);
         points.iter().map(nearest).sum::<f32>() / points.len() as f32

@@ -1,4 +1,4 @@
-//! Words of errors that are safe to show.
+//! Text that is safe to show in errors.
 
 mod excerpt;
 mod printable;

@@ -1,4 +1,4 @@
-//! Text that people see.
+//! Text that is safe to print.
 
 use std::borrow::Cow;
 

@@ -3,14 +3,14 @@
 use std::borrow::Cow;
 use std::fmt::Display;
 
-/// Characters of a text that is shown whole.
+/// Texts of at most this many characters are shown whole.
 const MAX_CHARS: usize = 1500;
-/// Characters that stay at each end of a longer text.
+/// Number of characters that remain at each end of a longer text.
 const END_CHARS: usize = 500;
 
-/// The text of an error, cut in the middle if it has more than 1500 characters: names and values may have any length.
+/// The text of an error, cut in the middle if it has over 1500 characters: names and values may have any length.
 pub fn shortened(text: &str) -> Cow<'_, str> {
-    // Bytes are at least as many as characters, and quickly counted.
+    // A text has at least as many bytes as characters, and its bytes are counted quickly.
     if text.len() <= MAX_CHARS || text.chars().nth(MAX_CHARS).is_none() {
         return text.into();
     }

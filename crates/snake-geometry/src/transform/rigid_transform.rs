@@ -31,15 +31,15 @@ use crate::{Error, Point, Result};
 pub struct RigidTransform(IsometryMatrix3<f64>);
 
 impl RigidTransform {
-    /// The largest difference of an entry of `RᵀR` from the identity. Files round rotations to a few digits.
+    /// The largest absolute entry of `RᵀR - I`. Files round rotations to a few digits.
     pub const TOLERANCE: f64 = 1e-3;
 
-    /// The transform that moves nothing.
+    /// The identity.
     pub fn identity() -> Self {
         Self(IsometryMatrix3::identity())
     }
 
-    /// The transform of a 4×4 matrix, row by row. Its entries are kept as they are.
+    /// The transform with this 4×4 matrix, given row by row. Its entries are kept as they are.
     ///
     /// # Errors
     /// [`Error::Input`] when an entry is not finite, the last row is not 0 0 0 1, or the upper left 3×3 block is not a
@@ -56,7 +56,7 @@ impl RigidTransform {
         Ok(Self(IsometryMatrix3::from_parts(translation, Rotation3::from_matrix_unchecked(rotation))))
     }
 
-    /// The transform with the rotation that is nearest to its own, which a file may have rounded. The translation stays.
+    /// The transform with the nearest exact rotation; a file may have rounded it. The translation stays.
     #[must_use]
     pub fn with_exact_rotation(&self) -> Self {
         let decomposed = self.0.rotation.matrix().svd(true, true);
@@ -64,7 +64,7 @@ impl RigidTransform {
         Self(IsometryMatrix3::from_parts(self.0.translation, Rotation3::from_matrix_unchecked(u * v_transposed)))
     }
 
-    /// The largest difference of an entry of `RᵀR` from the identity, at most [`RigidTransform::TOLERANCE`].
+    /// The largest absolute entry of `RᵀR - I`, at most [`RigidTransform::TOLERANCE`].
     pub fn rotation_error(&self) -> f64 {
         let rotation = self.0.rotation.matrix();
         (rotation.transpose() * rotation - Matrix3::identity()).amax()
@@ -76,23 +76,23 @@ impl RigidTransform {
         std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
     }
 
-    /// The rotation and translation as nalgebra's type.
+    /// The rotation and the translation as nalgebra's type.
     pub fn isometry(&self) -> &IsometryMatrix3<f64> {
         &self.0
     }
 
-    /// The transform in the other direction.
+    /// The inverse transform.
     #[must_use]
     pub fn inverse(&self) -> Self {
         Self(self.0.inverse())
     }
 
-    /// A point under the transform, computed in f64.
+    /// Transforms a point, computed in f64.
     pub fn apply(&self, point: Point) -> Point {
         self.apply_vector(&Vector3::from(point.map(f64::from))).map(|v| v as f32).into()
     }
 
-    /// A vector under rotation and translation.
+    /// Transforms a vector as a position, by rotation and translation.
     pub fn apply_vector(&self, vector: &Vector3<f64>) -> Vector3<f64> {
         self.0.transform_point(&Point3::from(*vector)).coords
     }
@@ -100,7 +100,7 @@ impl RigidTransform {
     /// The angle between the two rotations, in radians, and the distance between the two translations.
     pub fn angle_and_distance_to(&self, other: &Self) -> (f64, f64) {
         let distance = (self.0.translation.vector - other.0.translation.vector).norm();
-        // nalgebra's own angle of a rotation by almost nothing is the arc cosine of more than 1 as often as not.
+        // For tiny rotations, nalgebra's own angle is half of the time the arc cosine of a number above 1.
         let difference = self.0.rotation.rotation_to(&other.0.rotation);
         (UnitQuaternion::from_rotation_matrix(&difference).angle(), distance)
     }

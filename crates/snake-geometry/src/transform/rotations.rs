@@ -1,4 +1,4 @@
-//! The rotations in which a cloud is encoded: a fixed set of evenly distributed ones, and its principal axes.
+//! The rotations in which a cloud is encoded: a fixed set of evenly distributed rotations, and its principal axes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -34,10 +34,10 @@ pub fn super_fibonacci(number: usize) -> impl Iterator<Item = Rotation> {
     std::iter::once(IDENTITY).chain((1..number).map(matrix))
 }
 
-/// The rotation of a cloud about `center` into its principal axes, the longest along x.
+/// The rotation of a cloud about `center` into its principal axes, with the longest axis along x.
 ///
-/// Each axis points to the side of positive skewness. If that gives a reflection, the axis of least skewness is reversed:
-/// the axis across a plane of symmetry, if there is one, so its sign is the same for any samples of a shape.
+/// Each axis points to the side of positive skewness. If that gives a reflection, the axis of least skewness is reversed.
+/// This is the axis across a plane of symmetry, if there is one, so the sign is the same for any samples of a shape.
 pub fn principal_axes(points: &[Point], center: Point) -> Rotation {
     let offset = |p: &Point| Vector3::from_fn(|axis, _| f64::from(p[axis]) - f64::from(center[axis]));
     let scatter = points.iter().map(offset).map(|v| v * v.transpose()).sum::<Matrix3<f64>>();
@@ -82,7 +82,7 @@ pub fn rotate_inverse(rotation: &Rotation, point: Point) -> Point {
 mod tests {
     use super::*;
 
-    /// An ellipsoid's surface, thicker on one side along each axis.
+    /// The surface of an ellipsoid that is thicker on one side along each axis.
     fn lopsided(i: u32) -> Point {
         let unit = |k: u32| f64::from(i.wrapping_mul(k) % 9973) / 9973.0;
         let (z, angle) = (2.0 * unit(7919) - 1.0, std::f64::consts::TAU * unit(4421));

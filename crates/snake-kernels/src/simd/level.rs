@@ -1,21 +1,21 @@
-//! Levels of instructions.
+//! SIMD levels: the sets of instructions for which the kernels are compiled.
 
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "x86_64")]
 use super::lanes::{Avx2Token, Avx512Token};
 
-/// A level of instructions that this processor has.
+/// A SIMD level that this processor has.
 ///
-/// Only detection makes one ([`SimdLevel::available`], [`SimdLevel::current`]), so a kernel that is given a level can rely
-/// on its instructions: it holds the token of the lanes of these instructions.
+/// A level can only come from detection ([`SimdLevel::available`], [`SimdLevel::current`]). So a kernel can rely on the
+/// instructions of the level that it is given, which holds the token of their lanes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SimdLevel(pub(crate) Instructions);
 
-/// The instructions that kernels are compiled for.
+/// The instructions for which kernels are compiled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Instructions {
-    /// Plain loops: SSE2 on x86-64, and whatever the compiler makes of them on others.
+    /// Plain loops: SSE2 on x86-64, and the baseline instructions of the compiler's target elsewhere.
     Portable,
     /// NEON, which every aarch64 processor has.
     #[cfg(target_arch = "aarch64")]
@@ -42,8 +42,8 @@ impl SimdLevel {
         levels
     }
 
-    /// The level in use. The first call chooses it, unless [`SimdLevel::make_current`] did: the level that the environment
-    /// variable `SNAKE_SIMD` names (`portable`, `avx2`, `avx512`, `neon`) if this processor has it, else the fastest.
+    /// The level in use. The first call chooses it, unless [`SimdLevel::make_current`] did: the level that `SNAKE_SIMD`
+    /// names in the environment (`portable`, `avx2`, `avx512`, `neon`) if this processor has it, else the fastest.
     pub fn current() -> Self {
         *CURRENT.get_or_init(|| {
             let wanted = std::env::var("SNAKE_SIMD").unwrap_or_default();
@@ -53,7 +53,7 @@ impl SimdLevel {
         })
     }
 
-    /// Refuses a `SNAKE_SIMD` that names no level of this processor; [`SimdLevel::current`] uses the fastest instead.
+    /// Refuses a `SNAKE_SIMD` that names no level of this processor. [`SimdLevel::current`] would use the fastest level.
     ///
     /// # Errors
     /// The refusal in words.
@@ -66,7 +66,7 @@ impl SimdLevel {
         Err(format!("SNAKE_SIMD is {wanted}: allowed is {}", names.join(" or ")))
     }
 
-    /// Chooses this level for the program. All calls of a program use one level, so that they give the same bits.
+    /// Chooses this level for the program. All calls of a program use one level, so they give the same bits.
     ///
     /// # Errors
     /// The level in use, when another level is in use already: call this before anything else.
