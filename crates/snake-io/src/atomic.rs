@@ -15,17 +15,17 @@ pub fn hold_writes() -> RwLockWriteGuard<'static, ()> {
     WRITING.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The name of a temporary file of [`write_atomically`] begins and ends with these. A program that is killed leaves one behind.
+/// Beginning and end of the names of temporary files of [`write_atomically`]. A killed program leaves such a file behind.
 pub const TEMPORARY: [&str; 2] = [".snake-rs.", ".part"];
 
-/// Writes a file whole or not at all, also when the power fails: fills a temporary file in the folder of the target, waits until
+/// Writes a file whole or not at all, even if the power fails: fills a temporary file in the folder of the target, waits until
 /// it is on the disk, and then renames it.
 ///
 /// A symbolic link is followed: the link stays and its target is written. A device, a FIFO or a socket is written
 /// directly.
 ///
 /// # Errors
-/// The errors of the file system and of `fill`, which do not name the temporary file. The old target then stays.
+/// The errors of the file system and of `fill`, which do not name the temporary file. The old target then remains.
 pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     match metadata(path) {
         Ok(found) if found.is_file() => replace(&path.canonicalize()?, fill),
@@ -47,7 +47,7 @@ fn replace(target: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<()>) -
     let _writing = WRITING.read().unwrap_or_else(PoisonError::into_inner);
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let (temporary, file) = Temporary::create_in(folder)?;
-    // A new file has the mode of the umask, a replaced one keeps its own, which may hide it from others.
+    // A new file has the mode of the umask. A replaced file keeps its mode, which may hide it from others.
     if let Ok(replaced) = metadata(target) {
         file.set_permissions(replaced.permissions())?;
     }
@@ -65,7 +65,7 @@ struct Temporary {
 }
 
 impl Temporary {
-    /// Creates a file in a folder by a name that no other file has.
+    /// Creates a file in a folder under an unused name.
     fn create_in(folder: &Path) -> io::Result<(Self, File)> {
         static NUMBER: AtomicUsize = AtomicUsize::new(0);
         let [prefix, suffix] = TEMPORARY;
@@ -73,7 +73,7 @@ impl Temporary {
             let number = NUMBER.fetch_add(1, Ordering::Relaxed);
             let path = folder.join(format!("{prefix}{}-{number}{suffix}", std::process::id()));
             match File::create_new(&path) {
-                // A file of a program that was killed, or that writes to the same folder from another machine.
+                // Left by a killed program, or used by a program that writes to the same folder from another machine.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
                 created => return Ok((Self { path, is_renamed: false }, created?)),
             }
@@ -95,7 +95,7 @@ impl Drop for Temporary {
     }
 }
 
-/// Waits until the names in a folder are on the disk. Where folders cannot be opened as files, there is nothing to wait for.
+/// Waits until the names in a folder are on the disk. Does nothing where folders cannot be opened as files.
 pub fn sync_folder(folder: &Path) {
     let _not_everywhere = File::open(folder).and_then(|folder| folder.sync_all());
 }

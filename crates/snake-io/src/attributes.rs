@@ -10,7 +10,7 @@ use crate::table::Table;
 use crate::{Error, Result, text};
 use snake_geometry::RigidTransform;
 
-/// Colours, intensity and normals of a cloud's points, each for all of them or for none.
+/// Colours, intensity and normals of a cloud's points. Each exists for all points or for none.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Attributes {
@@ -29,11 +29,11 @@ const COLORS: [[&str; 3]; 3] =
 const NORMALS: [[&str; 3]; 3] =
     [["nx", "ny", "nz"], ["normal_x", "normal_y", "normal_z"], ["normalx", "normaly", "normalz"]];
 const INTENSITIES: [[&str; 1]; 4] = [["intensity"], ["scalar_intensity"], ["reflectance"], ["reflectivity"]];
-/// Columns of PCD with a colour in the bits of a number.
+/// PCD columns that hold a colour in the bits of a number.
 const PACKED: [[&str; 1]; 2] = [["rgb"], ["rgba"]];
 
-/// Reads the attributes of a file's points, in the order of the points. Files that cannot hold them have none, a pipe neither,
-/// and what is damaged or has another number of values than there are points is left out.
+/// Reads the attributes of a file's points, in the order of the points. Pipes and formats without attributes give none.
+/// Attributes that are damaged, or whose number of values is not the number of points, are left out.
 ///
 /// PLY, PCD, text with a header, LAS, LAZ, E57 and the sweeps of KITTI and nuScenes are read.
 ///
@@ -65,12 +65,12 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
     Ok(attributes.for_points(num_points))
 }
 
-/// The first of these sets of columns that a table has.
+/// The columns of the first of these sets that a table has.
 fn any<const N: usize>(table: &Table, sets: &[[&str; N]]) -> Option<Vec<[f64; N]>> {
     sets.iter().find_map(|names| table.named(*names))
 }
 
-/// The intensities and colours of a laser scan. Writers without a sensor for one leave zeros.
+/// The intensities and colours of a laser scan. Writers without a sensor for one of them write zeros.
 fn scanned((intensity, colors): (Vec<f32>, Vec<[f64; 3]>)) -> Attributes {
     let intensity = Some(intensity).filter(|values| values.iter().any(|value| *value > 0.0));
     let colors = Some(to_bytes(&colors)).filter(|values| values.as_flattened().iter().any(|value| *value > 0));
@@ -89,7 +89,7 @@ impl Attributes {
         }
     }
 
-    /// [`Attributes::named`] with the colours of PCL, whose bytes are the bits of one number.
+    /// [`Attributes::named`] with PCL's colours, which are the bits of one number.
     fn packed(table: Table) -> Self {
         let unpacked = |[bits]: &[f64; 1]| [16, 8, 0].map(|shift| (*bits as u32 >> shift) as u8);
         let packed: Option<Vec<[u8; 3]>> = any(&table, &PACKED).map(|rows| rows.iter().map(unpacked).collect());
@@ -97,7 +97,7 @@ impl Attributes {
         Self { colors: named.colors.or(packed), ..named }
     }
 
-    /// Without those whose number of values is another.
+    /// Keeps only attributes with this number of values.
     fn for_points(self, num_points: usize) -> Self {
         Self {
             colors: self.colors.filter(|values| values.len() == num_points),
@@ -107,14 +107,14 @@ impl Attributes {
         }
     }
 
-    /// The number of values of each attribute that there is.
+    /// The number of values of each attribute that exists.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
         let Self { colors, intensity, normals, .. } = self;
         let numbers = [colors.as_ref().map(Vec::len), intensity.as_ref().map(Vec::len), normals.as_ref().map(Vec::len)];
         numbers.into_iter().flatten()
     }
 
-    /// The attributes of the points under a transform, which rotates the normals and moves the sensor.
+    /// The attributes of the points under a transform. It rotates the normals and moves the sensor.
     #[must_use]
     pub fn transformed(mut self, transform: &RigidTransform) -> Self {
         let rows = transform.to_matrix();
@@ -130,7 +130,7 @@ impl Attributes {
         self
     }
 
-    /// The attributes that all of several clouds have, one cloud after another. Only one cloud has one sensor.
+    /// The attributes that all of several clouds have, concatenated. The sensor is kept only if there is a single cloud.
     pub fn joined(parts: &[Self]) -> Self {
         fn all<T: Clone>(parts: &[Attributes], of: impl Fn(&Attributes) -> Option<&Vec<T>>) -> Option<Vec<T>> {
             parts
@@ -148,7 +148,7 @@ impl Attributes {
     }
 }
 
-/// Colours as bytes: of 16 bits the upper ones, and of numbers up to 1 their share.
+/// Colours as bytes. Numbers of 16 bits keep their upper byte; fractions up to 1 are scaled to 255.
 fn to_bytes(rows: &[[f64; 3]]) -> Vec<[u8; 3]> {
     let most = rows.as_flattened().iter().fold(0.0, |most: f64, value| most.max(*value));
     let is_share = most <= 1.0 && rows.as_flattened().iter().any(|value| value.fract() != 0.0);

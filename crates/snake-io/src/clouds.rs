@@ -13,7 +13,7 @@ use crate::las;
 use crate::text::columns::Columns;
 use crate::{Error, Result};
 
-/// The first bytes of a file that gzip compressed.
+/// The first bytes of a gzip file.
 const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
 
 /// Options of [`read_cloud`].
@@ -27,8 +27,8 @@ pub struct ReadOptions {
     /// The columns of text and NumPy arrays that hold x, y and z. `None` uses the columns that a header names, and the
     /// first three columns without a header.
     pub columns: Option<Columns>,
-    /// Whether points of LAS and LAZ files that are withheld or classified as noise (7 and 18) are kept. Else they are read as
-    /// not finite.
+    /// Whether to keep points of LAS and LAZ files that are withheld or classified as noise (7 and 18). Otherwise they are
+    /// read as not finite.
     pub keep_withheld: bool,
 }
 
@@ -44,10 +44,10 @@ setters!(ReadOptions {
 pub struct Contents {
     /// The points.
     pub cloud: Cloud,
-    /// What a user should know of the points, in sentences: points that were left out, faces that were not sampled.
+    /// Sentences for the user about the points: points that were left out, faces that were not sampled.
     pub notes: Vec<String>,
-    /// Where the sensor was, in the file's frame: the `VIEWPOINT` of a PCD file, unless it is zero, which writers put
-    /// there when they do not know it.
+    /// The position of the sensor, in the file's frame: the `VIEWPOINT` of a PCD file. A zero position does not count,
+    /// because writers put it there when they do not know it.
     pub viewpoint: Option<[f64; 3]>,
     /// The coordinate reference system, of LAS and LAZ files.
     pub crs: Option<Crs>,
@@ -59,7 +59,7 @@ pub struct Contents {
 /// not finite are kept. Coordinates far from zero lose digits, which [`read_cloud`] keeps.
 ///
 /// # Errors
-/// As [`read_cloud`].
+/// The errors of [`read_cloud`].
 pub fn read_points(path: &Path) -> Result<Vec<Point>> {
     read_cloud(path, &ReadOptions::default()).map(Cloud::into_points)
 }
@@ -74,17 +74,17 @@ pub fn read_cloud(path: &Path, options: &ReadOptions) -> Result<Cloud> {
     read_contents(path, options).map(|contents| contents.cloud)
 }
 
-/// [`read_cloud`] with what else the file says.
+/// [`read_cloud`] with the other contents of the file.
 ///
 /// # Errors
-/// As [`read_cloud`].
+/// The errors of [`read_cloud`].
 pub fn read_contents(path: &Path, options: &ReadOptions) -> Result<Contents> {
     let (format, bytes) = read_file(path)?;
     parse(&bytes, format, options).map_err(|reason| Error::Format { path: path.into(), reason })
 }
 
-/// The format and the content of a file. A file whose name has no extension, such as `/dev/stdin`, and a pipe of any name
-/// have the format that their content shows.
+/// The format and the content of a file. The content determines the format of a pipe, and of a file without an extension
+/// such as `/dev/stdin`.
 pub(crate) fn read_file(path: &Path) -> Result<(PointFormat, Vec<u8>)> {
     let is_by_content = is_pipe(path) || (path.is_file() && extension(path).is_empty());
     let by_name = if is_by_content { PointFormat::from_path(path) } else { Ok(format_of(path)?) };
@@ -106,7 +106,7 @@ pub(crate) fn is_pipe(_path: &Path) -> bool {
     false
 }
 
-/// The format of a file. What is missing or a folder has no format that could be wrong.
+/// The format of a file by its name. If the name tells none, a file that cannot be read gives an I/O error instead.
 fn format_of(path: &Path) -> Result<PointFormat> {
     PointFormat::from_path(path).map_err(|unknown| match File::open(path).and_then(|mut file| file.read(&mut [0])) {
         Ok(_) => unknown,
@@ -114,13 +114,13 @@ fn format_of(path: &Path) -> Result<PointFormat> {
     })
 }
 
-/// Calls `found` with each position of a file, in the file's order and units; points that are left out are not finite.
+/// Calls `found` with each position of a file, in the file's order and units. Points that are left out are not finite.
 /// Returns the coordinate reference system.
 ///
 /// The memory for LAS and LAZ files does not grow with the number of points. Other formats are read whole.
 ///
 /// # Errors
-/// As [`read_cloud`]. Positions before a damaged part are then found nevertheless.
+/// The errors of [`read_cloud`]. `found` has then been called for the positions before a damaged part.
 pub fn for_each_position(path: &Path, options: &ReadOptions, found: &mut dyn FnMut([f64; 3])) -> Result<Option<Crs>> {
     let format = format_of(path)?;
     let io_error = |source| Error::Io { path: path.into(), source };
@@ -146,10 +146,10 @@ pub fn parse_cloud(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> 
     parse_contents(bytes, format, options).map(|contents| contents.cloud)
 }
 
-/// [`parse_cloud`] with what else the file says.
+/// [`parse_cloud`] with the other contents of the file.
 ///
 /// # Errors
-/// As [`parse_cloud`].
+/// The errors of [`parse_cloud`].
 pub fn parse_contents(bytes: &[u8], format: PointFormat, options: &ReadOptions) -> Result<Contents> {
     parse(bytes, format, options).map_err(|reason| Error::Input { what: format.name(), reason })
 }

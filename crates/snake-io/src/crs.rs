@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// The coordinate reference system of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Crs {
-    /// Its text (WKT), as the file has it.
+    /// Its text (WKT), as in the file.
     pub wkt: Option<String>,
     /// The EPSG code of its horizontal part.
     pub epsg: Option<u32>,
@@ -14,7 +14,7 @@ pub struct Crs {
 }
 
 impl Crs {
-    /// Refuses longitude and latitude, which are no lengths, with what to do about them.
+    /// Refuses longitude and latitude, which are not lengths, with advice.
     ///
     /// # Errors
     /// The refusal in words.
@@ -43,15 +43,15 @@ impl Crs {
         }
     }
 
-    /// The system of a directory of GeoTIFF keys.
+    /// The system in a directory of GeoTIFF keys.
     pub(crate) fn from_geo_keys(record: &[u8]) -> Option<Self> {
         let numbers: Vec<u16> = record.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes)).collect();
-        // A header of four numbers, then four numbers a key. A location of 0 says that the last one is the value.
+        // Four numbers of a header, then four numbers per key. If the location is 0, the last number is the value.
         let value = |key: u16| {
             let keys = numbers.get(4..)?.as_chunks::<4>().0;
             keys.iter().find(|[number, location, ..]| (*number, *location) == (key, 0)).map(|[.., value]| *value)
         };
-        // 32767 stands for a system that the user defined.
+        // 32767 stands for a user-defined system.
         let epsg = |key| value(key).filter(|code| (1024..32767).contains(code)).map(u32::from);
         let is_geographic = value(1024)? == 2;
         Some(Self { wkt: None, epsg: epsg(if is_geographic { 2048 } else { 3072 }), is_geographic })
@@ -68,7 +68,7 @@ fn element(text: &str) -> &str {
     end.map_or(text, |(end, _)| &text[..=end])
 }
 
-/// The EPSG code of an element: its own is the last one in it.
+/// The EPSG code of an element, which is the last code in it.
 fn epsg(element: &str) -> Option<u32> {
     let at = element.rfind("AUTHORITY[\"EPSG\",").or_else(|| element.rfind("ID[\"EPSG\","))?;
     let code: String = element[at..].chars().filter(char::is_ascii_digit).collect();

@@ -31,15 +31,15 @@
 //! | `npz` | the array `points`, `xyz`, `pc`, `pos` or `arr_0`; else the only array with the shape of a cloud | | |
 //! | `csv` | as `xyz` | `x,y,z` | `x,y,z,saliency,occupancy,nearest_index,confidence,deviation` |
 //! | `xyz`, `txt`, `pts`, `asc`, `xyzn`, `xyzrgb`, `xyzi` | columns of text | only `xyz` | |
-//! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 of them a point; [`PointFormat::Sweep`] has others | | |
+//! | `pcd.bin`, and `bin` in folders of KITTI or nuScenes | x, y and z of float32 values, 5 or 4 per point; [`PointFormat::Sweep`] for others | | |
 //! | `obj`, `off`, `stl` | vertices, or points sampled on the surface (also of a `ply` with faces) | | |
 //! | `gltf`, `glb` | vertices of all meshes in the scene's frame, or points sampled on them | | |
 //! | `las`, `laz`, `e57` | coordinates | | only `laz`, with extra dimensions |
 //! | `json` | | | `{"keypoints": [{"x": .., ..}, ..]}` |
 //! | `keypointnet.json` | | | annotations in the format of KeypointNet |
 //!
-//! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt`
-//! with the four rows of the matrix; [`read_poses`] reads those of many clouds. The readers ignore colours, normals and other fields.
+//! Meshes are written as binary `ply`, as binary `stl` or as `obj`. Registrations are written as `json`, or as `txt` with the four
+//! rows of the matrix; [`read_poses`] reads the poses of many clouds. The readers ignore colours, normals and other fields.
 //!
 //! Coordinates are read as `f64` and stored as `f32`. Georeferenced scans lie far from zero and would lose digits (at
 //! 5e6 m one `f32` step is 0.5 m). Their points are therefore stored relative to a [`Cloud::origin`]. The writers add
@@ -49,7 +49,7 @@
 //! so these files contain points relative to the origin. A PCD file states the origin in a comment `# snake-rs origin X
 //! Y Z`; the PCD reader of this crate adds it again.
 //!
-//! Time and memory of a reader are limited to a small multiple of the file's size, for compressed files to 50 times.
+//! The time and memory of a reader are limited to a small multiple of the file's size, for compressed files 50 times.
 
 #![forbid(unsafe_code)]
 
@@ -89,6 +89,6 @@ pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 pub use write::{adds_origin, origin_note, write_cloud, write_keypoints, write_points};
 
-/// The limit of the unpacked size, in sizes of the packed file. No scan exceeds it; a file made to exceed it would take
-/// all memory.
+/// The limit of the unpacked size, as a multiple of the packed size. No scan exceeds it; a malicious file could otherwise
+/// take all memory.
 const MAX_EXPANSION: usize = 50;

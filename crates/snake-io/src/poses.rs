@@ -1,4 +1,4 @@
-//! Reads the poses of many clouds: what `align` writes, and the trajectories of TUM and KITTI.
+//! Reads the poses of many clouds: the output of `align`, and TUM and KITTI trajectories.
 
 use std::path::Path;
 
@@ -19,9 +19,9 @@ pub const POSE_EXTENSIONS: &[&str] = &["json", "txt", "tum"];
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Poses {
-    /// Each with the path of its cloud.
+    /// Each pose with the path of its cloud.
     Named(Vec<(String, RigidTransform)>),
-    /// Each with its time, which is the name of its cloud.
+    /// Each pose with its time, which is the name of its cloud.
     Timed(Vec<(f64, RigidTransform)>),
     /// In the order of the clouds.
     Ordered(Vec<RigidTransform>),
@@ -41,8 +41,8 @@ struct WrittenPose {
 
 /// Reads the poses of clouds.
 ///
-/// A `json` file holds what `snake-cli align` writes; the poses of its largest part count. A `txt` or `tum`
-/// file holds a pose a line: `time x y z qx qy qz qw` (TUM), or the three rows of `[R t]` (KITTI).
+/// A `json` file holds the output of `snake-cli align`; only the poses of its largest part count. A `txt` or `tum`
+/// file holds one pose per line: `time x y z qx qy qz qw` (TUM), or the three rows of `[R t]` (KITTI).
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among [`POSE_EXTENSIONS`] or
@@ -58,12 +58,12 @@ pub fn read_poses(path: &Path) -> Result<Poses> {
 }
 
 impl Poses {
-    /// The pose of each cloud, where the file has one. A pose belongs to the cloud of its path. If no path is equal, it
-    /// belongs to the only cloud of its file name.
+    /// The pose of each cloud for which the file has one. A pose belongs to the cloud with its path. If no path is equal, it
+    /// belongs to the only cloud with its file name.
     ///
     /// # Errors
-    /// [`Error::Format`] of the file of poses when none is of these clouds, or when poses without names are not one for
-    /// each cloud.
+    /// [`Error::Format`] for the file of poses when no pose belongs to these clouds, or when the number of poses without
+    /// names is not the number of clouds.
     pub fn for_clouds(&self, file: &Path, clouds: &[impl AsRef<Path>]) -> Result<Vec<Option<RigidTransform>>> {
         let refused = |reason| Err(Error::Format { path: file.into(), reason });
         let clouds = clouds.iter().map(AsRef::as_ref);
@@ -89,7 +89,7 @@ impl Poses {
     }
 }
 
-/// The pose of a cloud by its path, or by its file name if only one has it.
+/// The pose of a cloud by its path, or by its file name if only one pose has it.
 fn named(poses: &[(String, RigidTransform)], cloud: &Path) -> Option<RigidTransform> {
     if let Some((_, pose)) = poses.iter().find(|(name, _)| Path::new(name) == cloud) {
         return Some(*pose);
@@ -171,7 +171,7 @@ mod tests {
             "poses": [{"part": 0, "t_part_cloud": QUARTER}, {"part": 1, "t_part_cloud": QUARTER}, {"part": 0, "t_part_cloud": identity}],
         });
         let named = read_json(json.to_string().as_bytes()).unwrap();
-        // A cloud of another part has no pose here, and the folder may have moved.
+        // A cloud of another part has no pose here. The folder may have moved.
         let poses = named.for_clouds(file, &["b/2.ply", "a/0.ply", "a/1.ply", "new.ply"]).unwrap();
         assert_eq!(matrices(poses), [Some(identity), Some(QUARTER), None, None]);
         let tum =

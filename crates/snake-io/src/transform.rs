@@ -20,7 +20,7 @@ enum Written {
     Rows([[f64; 4]; 4]),
 }
 
-/// Reads the four rows of the matrix, alone or under the key `t_target_source` of an object.
+/// Reads the four rows of the matrix, by themselves or under the key `t_target_source` of an object.
 pub(crate) fn read_json(bytes: &[u8]) -> std::result::Result<RigidTransform, String> {
     match serde_json::from_slice(bytes) {
         Ok(Written::Registration { t_target_source: rows } | Written::Rows(rows)) => checked(rows),
@@ -40,8 +40,8 @@ fn checked(rows: [[f64; 4]; 4]) -> std::result::Result<RigidTransform, String> {
 
 /// Reads a rigid transform.
 ///
-/// A `json` file holds an object with the key `t_target_source`, as [`write_registration`] writes it, or the four rows
-/// alone. A `txt` file holds four rows of four numbers.
+/// A `json` file holds an object with the key `t_target_source`, as [`write_registration`] writes it, or only the four
+/// rows. A `txt` file holds four rows of four numbers.
 ///
 /// # Errors
 /// [`Error::Io`] when the file cannot be read; [`Error::Format`] when the extension is not among
@@ -60,7 +60,7 @@ pub fn read_transform(path: &Path) -> Result<RigidTransform> {
 /// file holds the four rows of the matrix.
 ///
 /// # Errors
-/// As [`write_keypoints`](crate::write_keypoints).
+/// The errors of [`write_keypoints`](crate::write_keypoints).
 pub fn write_registration(path: &Path, t_target_source: &RigidTransform, record: &impl Serialize) -> Result<()> {
     check_registration_path(path)?;
     let is_json = extension(path) == "json";

@@ -10,10 +10,10 @@ use snake_geometry::excerpt;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// Three or four rows with more columns than this are coordinates in rows.
+/// An array with three or four rows and more columns than this has one row per axis.
 const MAX_COLUMNS: usize = 16;
 
-/// Reads x, y, z from the chosen columns, else from the first three columns, of an array `(N, C)`, `C >= 3`.
+/// Reads x, y, z of an array `(N, C)`, `C >= 3`, from the chosen columns, or from the first three columns.
 ///
 /// Items may be `f2`, `f4`, `f8` or integers of any width, in either byte order, in C or Fortran order.
 pub(crate) fn positions<'a>(
@@ -47,7 +47,7 @@ fn open_cloud(bytes: &[u8]) -> Result<(ArrayHeader, &[u8]), String> {
     Ok((array, data))
 }
 
-/// Whether these first bytes of a file announce an array `(N, C)`, `C >= 3`, that is no matrix of a camera or transform.
+/// Whether the first bytes of a file announce an array `(N, C)`, `C >= 3`, that is not a camera or transform matrix.
 pub(crate) fn is_cloud(bytes: &[u8]) -> bool {
     let array = split_header(bytes).and_then(|(header, _)| ArrayHeader::parse(header).ok());
     let is_matrix = |array: &ArrayHeader| matches!((array.rows, array.columns), (3, 3) | (3 | 4, 4));
@@ -150,7 +150,7 @@ impl ArrayHeader {
         Ok(Self { scalar, fortran_order, clouds, rows, columns })
     }
 
-    /// Refuses shapes that are not those of a cloud: coordinates in rows, and the matrix of a transform.
+    /// Refuses shapes that a cloud does not have: one row per axis, and the matrix of a transform.
     fn check_shape(&self, data: &[u8]) -> Result<(), String> {
         let Self { rows, columns, .. } = *self;
         if matches!(rows, 3 | 4) && columns > MAX_COLUMNS {

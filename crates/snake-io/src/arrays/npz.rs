@@ -10,10 +10,10 @@ use crate::table::shape::Shape;
 use crate::text::columns::Columns;
 use snake_geometry::excerpt;
 
-/// Names of the array with the cloud, the likeliest first. NumPy gives the last one to an array saved without a name.
+/// Names of the array with the cloud, the likeliest first. NumPy gives the last one to an array without a name.
 const NAMES: [&str; 5] = ["points", "xyz", "pc", "pos", "arr_0"];
 
-/// Bytes that are enough to read an array's shape.
+/// Number of bytes that are enough to read an array's shape.
 const MAX_HEADER_BYTES: usize = 1 << 12;
 
 type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;

@@ -1,6 +1,6 @@
 //! Reads E57 laser scans with the crate `e57`.
 //!
-//! The crate allocates what the header asks for. This module therefore checks the header and the number of points first.
+//! The crate allocates the sizes in the header. This module therefore checks the header and the number of points first.
 
 use std::io::Cursor;
 
@@ -12,7 +12,7 @@ use crate::attributes::Attributes;
 use crate::formats::quaternion::rotation;
 use crate::table::shape::{Position, Shape};
 
-/// Reads the points of all scans in the file's frame: the pose of each scan is applied. Points that a scanner marks as
+/// Reads the points of all scans in the file's frame, with the pose of each scan applied. Points that a scanner marks as
 /// invalid are not finite.
 pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let mut points: Vec<Position> = Vec::new();
@@ -20,8 +20,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(points.into())
 }
 
-/// The colours, as bytes, and the intensity of the points of a file that [`read`] reads. A colour that a scanner marks as invalid
-/// is black, such an intensity 0.
+/// The colours, as bytes, and the intensities of the points that [`read`] reads. A colour that a
+/// scanner marks as invalid is black, and an invalid intensity is 0.
 pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
     let (mut colors, mut intensity) = (Vec::new(), Vec::new());
     for_each_point(bytes, &mut |_, scan, point| {
@@ -36,7 +36,7 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
     Ok(Attributes { colors: Some(colors), intensity: Some(intensity), ..Attributes::default() })
 }
 
-/// Calls `found` with each position, its scan and what else the file says of it.
+/// Calls `found` with each position, its scan and the rest of the point's data.
 fn for_each_point(bytes: &[u8], found: &mut dyn FnMut(Position, &PointCloud, &Point)) -> Result<(), String> {
     check_header(bytes)?;
     let failed = |error: e57::Error| {
@@ -53,7 +53,7 @@ fn for_each_point(bytes: &[u8], found: &mut dyn FnMut(Position, &PointCloud, &Po
         check_fields(&scan).map_err(|reason| format!("scan {number}: {reason}"))?;
         let place = pose(scan.transform.as_ref()).map_err(|reason| format!("the pose of scan {number}: {reason}"))?;
         let mut points = reader.pointcloud_simple(&scan).map_err(failed)?;
-        // The crate's own pose also scales, by the square of the quaternion's length.
+        // The crate's own pose also scales by the square of the quaternion's length.
         points.apply_pose(false);
         points.intensity_to_color(false);
         points.normalize_intensity(false);
@@ -81,7 +81,7 @@ fn check_fields(scan: &PointCloud) -> Result<(), String> {
     Err(format!("no positions (x, y, z, or range, azimuth, elevation); its fields are {fields}"))
 }
 
-/// The map from a scan's frame into that of the file. A pose may have only a translation or only a rotation.
+/// The map from a scan's frame to the file's frame. A pose may have only a translation or only a rotation.
 fn pose(pose: Option<&Transform>) -> Result<impl Fn(Position) -> Position + use<>, String> {
     let Transform { rotation: turn, translation } = pose.cloned().unwrap_or_default();
     let translation = [translation.x, translation.y, translation.z];
@@ -130,7 +130,7 @@ mod tests {
         assert!(super::read(&good[..20]).map(drop).unwrap_err().contains("header"));
     }
 
-    /// A file of scans with a pose each and the points 1 2 3 and 4 5 6.
+    /// A file with one scan per pose, each with the points 1 2 3 and 4 5 6.
     fn scans(poses: &[Option<Transform>], names: &[RecordName]) -> Vec<u8> {
         let mut file = Cursor::new(Vec::new());
         let mut writer = e57::E57Writer::new(&mut file, "file").unwrap();
@@ -192,7 +192,7 @@ mod tests {
                 assert!((found - expected).abs() < 1e-12, "{w} {z}: {points:?}");
             }
         }
-        // No rotation, as zeros and by a number that has nothing to turn.
+        // No rotation: a quaternion of zeros, or with only the scalar part.
         for w in [0.0, 1.0, -3.0] {
             assert_eq!(read(pose(w, 0.0, 10.0))[2..], [[11.0, 2.0, 3.0], [14.0, 5.0, 6.0]]);
         }

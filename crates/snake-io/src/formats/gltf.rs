@@ -1,7 +1,7 @@
 //! Reads glTF scenes, as JSON (gltf) and as binary files (glb).
 //!
-//! The crate `gltf` 1.4.1 panics at an index that is not there, unless it validates the whole file, and then refuses files whose
-//! damaged materials no vertex needs.
+//! The crate `gltf` 1.4.1 panics at a missing index unless it validates the whole file. With validation, it refuses files with
+//! damaged materials that no vertex needs.
 
 mod data;
 mod document;
@@ -27,7 +27,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     let mut visited = vec![false; document.nodes.len()];
     while let Some((index, parent)) = open.pop() {
         let node = named(&document.nodes, index, "node")?;
-        // The nodes are a tree. A node with two parents could make any number of points, and a circle has no end.
+        // The nodes form a tree. A node with two parents could multiply points without limit, and a cycle has no end.
         if std::mem::replace(&mut visited[index], true) {
             return Err(format!("node {index} has two parents"));
         }
@@ -39,10 +39,10 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(scene.shape)
 }
 
-/// The bytes of points that any file may make. A small file may have many instances.
+/// Number of bytes of points that any file may create, because a small file may have many instances.
 const MIN_BYTES: usize = 64 << 20;
 
-/// Column by column, as in the file.
+/// A matrix, column by column, as in the file.
 type Matrix = [[f64; 4]; 4];
 
 const IDENTITY: Matrix = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
@@ -91,11 +91,11 @@ fn placed(translation: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> Res
     Ok(matrix)
 }
 
-/// The vertices of a scene as they are collected.
+/// Collects the vertices of a scene.
 struct SceneReader<'a> {
     document: &'a Document,
     data: Data<'a>,
-    /// The most points and the most triangles.
+    /// The maximum number of points, and of triangles.
     most: usize,
     shape: Shape,
 }
@@ -119,7 +119,7 @@ impl SceneReader<'_> {
         let [places, turns, scales] = ["TRANSLATION", "ROTATION", "SCALE"].map(attribute);
         let Some(first) = places.or(turns).or(scales) else { return Ok(vec![IDENTITY]) };
         let count = self.data.count(first)?;
-        // Before memory is taken: an instance has at least one point.
+        // Checked before memory is allocated: an instance has at least one point.
         if count > self.most {
             return Err(format!("{count} instances"));
         }
@@ -175,7 +175,7 @@ fn add_triangles(triangles: &mut Vec<[u32; 3]>, mode: u32, corners: &[u32]) -> R
     match mode {
         0..=3 => (),
         4 => triangles.extend(corners.as_chunks::<3>().0),
-        // Every second triangle of a strip is wound the other way.
+        // Every second triangle of a strip has the opposite winding.
         5 => triangles.extend(corners.windows(3).enumerate().map(|(number, corner)| match number % 2 {
             0 => [corner[0], corner[1], corner[2]],
             _ => [corner[0], corner[2], corner[1]],
@@ -222,7 +222,7 @@ mod tests {
         assert!(error.contains("part.bin") && error.contains("gltf-transform"), "{error}");
     }
 
-    /// A scene of one mesh with 6 corners of a strip of squares, whose parts are replaced.
+    /// A scene with one mesh of 6 corners, a strip of squares, in which some parts are replaced.
     fn strip(replaced: &[(&str, &str)]) -> Vec<u8> {
         let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [2.0, 0.0], [2.0, 1.0]];
         let corners = corners.iter().flat_map(|[x, y]| [*x, *y, 0.0_f32]);
@@ -271,7 +271,7 @@ mod tests {
         assert_eq!((shape.points.len(), shape.triangles.len()), (12, 8));
         assert_eq!((shape.points[2], shape.points[8]), ([6.0, 0.0, 1.0], [1.0, 7.0, 1.0]));
         assert_eq!(shape.triangles[4], [6, 7, 8]);
-        // As scales: the second has none along x.
+        // Used as scales: the second instance has none along x.
         let scaled = with(&[("\"TRANSLATION\"", "\"SCALE\"")]).unwrap();
         assert_eq!((scaled.points[2], scaled.points[9]), ([5.0, 0.0, 1.0], [0.0, 7.0, 1.0]));
         assert!(with(&[(r#""count": 2"#, r#""count": 3"#)]).unwrap_err().contains("beyond its data"));
@@ -291,7 +291,7 @@ mod tests {
             super::read(&strip(&replaced)).map(drop).unwrap_err()
         };
         assert!(many(usize::MAX).contains("instances") && many(1 << 40).contains("instances"));
-        // Many nodes with the same mesh of many parts.
+        // Many nodes share one mesh of many parts.
         let primitive = r#"{"attributes": {"POSITION": 0}, "mode": 5}"#;
         let read = |number: usize| {
             let nodes = vec![r#"{"mesh": 0}"#; number].join(", ");

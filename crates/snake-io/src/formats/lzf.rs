@@ -1,6 +1,6 @@
 //! LZF, the compression of `binary_compressed` PCD files: Marc Lehmann's format of literals and back references.
 
-/// The largest number of output bytes for one input byte: a back reference of 3 bytes copies up to 264.
+/// Maximum number of output bytes per input byte: a back reference of 3 bytes copies up to 264.
 const MAX_EXPANSION: usize = 88;
 
 /// Decompresses to exactly `length` bytes.
@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn literals_and_references_by_hand() {
-        // `abc`, 4 bytes from 3 back, `x`, and 7 + 1 + 2 bytes from 1 back.
+        // `abc`; 4 bytes from 3 back; `x`; 7 + 1 + 2 bytes from 1 back.
         let packed = [2, b'a', b'b', b'c', 2 << 5, 2, 0, b'x', 7 << 5, 1, 0];
         assert_eq!(decompress(&packed, 18).unwrap(), b"abcabcaxxxxxxxxxxx");
         // The distance has 13 bits.

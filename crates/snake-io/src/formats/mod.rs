@@ -1,5 +1,5 @@
-//! The file formats with their names, extensions and signatures; the reader of each is one file here or
-//! stands with arrays, text or laser scans.
+//! The file formats with their names, extensions and signatures. The reader of each format is a file here, or is in the folder of
+//! arrays, text or laser scans.
 
 pub(crate) mod e57;
 pub(crate) mod gltf;
@@ -27,7 +27,7 @@ use crate::{Error, ReadOptions, Result, text};
 /// How files of a format are named, recognised and read.
 struct Format {
     format: PointFormat,
-    /// The name in messages. Formats without extensions are chosen by it.
+    /// The name in messages. Formats without extensions are selected by it.
     name: &'static str,
     extensions: &'static [&'static str],
     /// The first bytes of a file.
@@ -35,7 +35,7 @@ struct Format {
     read: Read,
 }
 
-/// Reads the points, in the columns of the options, and the faces if they are to be sampled.
+/// Reads the points, from the columns in the options, and the faces if they are to be sampled.
 type Read = fn(&[u8], &ReadOptions) -> std::result::Result<Shape, String>;
 
 const fn row(
@@ -48,10 +48,10 @@ const fn row(
     Format { format, name, extensions, signatures, read }
 }
 
-/// All formats that clouds are read from, but [`PointFormat::Sweep`].
+/// All formats from which clouds are read, except [`PointFormat::Sweep`].
 #[rustfmt::skip]
 const FORMATS: &[Format] = &[
-    // Faces are read only for samples: most readers of a cloud do not need them, and some files have broken faces.
+    // Faces are read only for sampling: most callers do not need them, and some files have broken faces.
     row(PointFormat::Ply, "PLY", &["ply"], &[b"ply\n", b"ply\r"], |bytes, options| ply::read(bytes, options.sample.is_some())),
     row(PointFormat::Pcd, "PCD", &["pcd"], &[b"# .PCD", b"VERSION", b"FIELDS"], |bytes, _| pcd::read(bytes)),
     row(PointFormat::Text, "text", &["xyz", "txt", "csv", "asc", "xyzn", "xyzrgb", "xyzi"], &[],
@@ -72,7 +72,7 @@ const FORMATS: &[Format] = &[
     row(PointFormat::Nuscenes, "nuScenes", &[], &[], |bytes, _| sweep::read_checked(bytes, 5)),
 ];
 
-/// The extensions of the formats that are written, and what is written in them: clouds or keypoints.
+/// The extensions of the formats that are written, and their content: clouds or keypoints.
 const WRITTEN: &[Written] = &[
     ("ply", Some(CloudFormat::Ply), Some(KeypointFormat::Ply)),
     ("pcd", Some(CloudFormat::Pcd), Some(KeypointFormat::Pcd)),
@@ -99,7 +99,7 @@ fn written(is_wanted: impl Fn(&&Written) -> bool) -> Vec<&'static str> {
     WRITTEN.iter().filter(is_wanted).map(|(extension, ..)| *extension).collect()
 }
 
-/// The format of a file to write: that of the first extension with which its name ends.
+/// The format of a file to write, by the first extension with which its name ends.
 fn written_format<F>(path: &Path, extensions: &[&str], format: impl Fn(&Written) -> Option<F>) -> Result<F> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let is_own = |extension: &str| {
@@ -145,7 +145,7 @@ pub enum PointFormat {
     Sweep(u8),
 }
 
-/// The most float32 values that a point of a sweep can have.
+/// Maximum number of float32 values per point of a sweep.
 const MAX_SWEEP_VALUES: u8 = 64;
 
 impl PointFormat {
@@ -165,8 +165,8 @@ impl PointFormat {
         })
     }
 
-    /// The format of an extension in lower case without a dot, or of the name `kitti`, `nuscenes` or `kitti:5`, which are
-    /// sweeps of 4, 5 and the stated number of float32 values a point. The stated number is not checked with the content.
+    /// The format for an extension in lower case without a dot, or for one of the names `kitti`, `nuscenes` and `kitti:5`. The names are
+    /// sweeps of 4, 5 and the stated number of float32 values per point. A stated number is not checked against the content.
     pub fn from_extension(extension: &str) -> Option<Self> {
         let is_own = |format: &&Format| match format.extensions {
             [] => format.name.eq_ignore_ascii_case(extension),
@@ -190,7 +190,7 @@ impl PointFormat {
         self.row().map_or("sweep", |format| format.name)
     }
 
-    /// Reads the points of a file, in the columns of the options, and the faces if they are to be sampled.
+    /// Reads the points of a file, from the columns in the options, and the faces if they are to be sampled.
     pub(crate) fn read(self, bytes: &[u8], options: &ReadOptions) -> std::result::Result<Shape, String> {
         if options.columns.is_some() && !matches!(self, Self::Text | Self::Pts | Self::Npy | Self::Npz) {
             return Err(
@@ -214,12 +214,12 @@ impl PointFormat {
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum KeypointFormat {
-    /// Binary PLY vertices with colour (by saliency), saliency, occupancy and nearest index.
+    /// Binary PLY vertices with colour (by saliency), saliency, occupancy, nearest index, confidence and deviation.
     Ply,
     /// Binary PCD points with the same fields.
     Pcd,
-    /// An array `(K, 8)` of `<f8`: x, y, z, saliency, occupancy, nearest_index, confidence, which is not a number where it is not known, and
-    /// deviation, the largest standard deviation of the position, which is infinite where the points leave a direction open.
+    /// An array `(K, 8)` of `<f8`: x, y, z, saliency, occupancy, nearest_index, confidence and deviation. The confidence is NaN if it is
+    /// unknown. The deviation is the largest standard deviation of the position, infinite if the points leave a direction open.
     Npy,
     /// The same columns as text.
     Csv,
@@ -227,7 +227,7 @@ pub enum KeypointFormat {
     Json,
     /// KeypointNet annotations: a list with one shape and its keypoints.
     KeypointNet,
-    /// LAZ with saliency, occupancy and nearest index as extra dimensions.
+    /// LAZ with saliency, occupancy, nearest index and confidence as extra dimensions.
     Laz,
 }
 
@@ -292,11 +292,11 @@ fn sweep_format(path: &Path) -> Result<PointFormat> {
     }
 }
 
-/// The command that converts a bag of ROS 2 in SQLite files.
+/// The command that converts a ROS 2 bag in SQLite files.
 pub(crate) const CONVERT_BAG: &str =
     "ros2 bag convert -i FOLDER -o OPTIONS.yaml with output_bags: [{uri: drive, storage_id: mcap, all: true}]";
 
-/// A command that converts a file of a format that is not read.
+/// A command that converts a file whose format is not read.
 fn conversion(extension: &str) -> Option<String> {
     let command = match extension {
         "bag" => "convert the ROS 1 bag: mcap convert FILE.bag FILE.mcap",

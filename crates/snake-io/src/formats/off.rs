@@ -4,7 +4,7 @@ use crate::table::shape::{Shape, add_polygon};
 use crate::text::lines::{Lines, no_position, position, text, without_comment};
 use snake_geometry::excerpt;
 
-/// Keywords at the beginning of a file. The letters before OFF announce fields after the coordinates of a vertex.
+/// Keywords at the beginning of a file. The letters before OFF announce fields after a vertex's coordinates.
 const KEYWORDS: [&str; 6] = ["STOFF", "CNOFF", "STCOFF", "COFF", "NOFF", "OFF"];
 
 /// Reads vertices and faces; colours, normals and texture coordinates are ignored.

@@ -47,7 +47,7 @@ pub(crate) fn viewpoint(bytes: &[u8]) -> Option<[f64; 3]> {
     Header::parse(bytes).ok()?.0.viewpoint()
 }
 
-/// All fields of one number, and the origin of the points. Packed colours are the number of their bits.
+/// All fields with a single number, and the origin of the points. A packed colour is the number that its bits form.
 pub(crate) fn table(bytes: &[u8]) -> Result<(Table<'_>, [f64; 3]), String> {
     let (header, lines) = Header::parse(bytes)?;
     let origin = header.origin.unwrap_or_default();
@@ -64,12 +64,12 @@ enum Encoding {
     BinaryCompressed,
 }
 
-/// A field of a point: its position within a point, in bytes and in columns of text.
+/// A field of a point, and its position within a point: in bytes, and in columns of text.
 struct Field {
     name: String,
-    /// The type of its number, unless it has several numbers, or the reason why it cannot be read.
+    /// The type of its number, or the reason why it cannot be read, such as several numbers.
     scalar: Result<Scalar, String>,
-    /// Whether its number is a float whose bits are meant.
+    /// Whether its number is a float that holds a colour in its bits.
     is_packed_float: bool,
     offset: usize,
     column: usize,
@@ -77,7 +77,7 @@ struct Field {
 
 struct Header {
     fields: Vec<Field>,
-    /// Bytes of a point in binary data; `columns` is its number of columns in ascii data.
+    /// Bytes of a point in binary data; `columns` is the number of columns of a point in ascii data.
     size: usize,
     columns: usize,
     num_points: usize,
@@ -139,13 +139,13 @@ impl Header {
         Err("no line DATA: not a PCD file, or cut short within its header".into())
     }
 
-    /// The position of the sensor, with the origin: the file's is relative to it, as the points are.
+    /// The position of the sensor, with the origin added: the file's position is relative to it, as the points are.
     fn viewpoint(&self) -> Option<[f64; 3]> {
         let origin = self.origin.unwrap_or_default();
         self.viewpoint.map(|position| std::array::from_fn(|axis| position[axis] + origin[axis]))
     }
 
-    /// The place of x, y and z among the fields of one number.
+    /// The indices of x, y and z among the fields with a single number.
     fn axes(&self) -> Result<[usize; 3], String> {
         let place = |axis: &str| {
             let mut fields = self.fields.iter().filter(|field| field.name == axis);
@@ -160,7 +160,7 @@ impl Header {
         Ok([x?, y?, z?])
     }
 
-    /// The fields of one number, with its type.
+    /// The fields with a single number, and its type.
     fn scalars(&self) -> impl Iterator<Item = (&Field, Scalar)> + Clone {
         self.fields.iter().filter_map(|field| Some((field, *field.scalar.as_ref().ok()?)))
     }
@@ -192,7 +192,7 @@ impl Header {
         }
     }
 
-    /// The bytes of binary data, after a check that they are as many as the points need.
+    /// The bytes of binary data, after a check that there are enough for the points.
     fn binary<'a>(&self, data: &'a [u8]) -> Result<&'a [u8], String> {
         // This check comes before any allocation, because a header can claim any number.
         let Self { num_points, size, .. } = self;
@@ -204,7 +204,7 @@ impl Header {
         Ok(rows)
     }
 
-    /// Unpacks two lengths (compressed, uncompressed) and LZF data.
+    /// Unpacks data that consists of two lengths (compressed, uncompressed) and LZF data.
     fn unpack(&self, data: &[u8]) -> Result<Vec<u8>, String> {
         let Self { num_points, size, .. } = self;
         let lengths = data.split_first_chunk::<4>().zip(data.get(4..).and_then(|rest| rest.split_first_chunk::<4>()));
@@ -221,7 +221,7 @@ impl Header {
         lzf::decompress(packed_data, unpacked)
     }
 
-    /// Calls `found` once a line, with the line's numbers in the chosen columns.
+    /// Calls `found` once per line, with the line's numbers in the chosen columns.
     fn ascii(&self, lines: Lines, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
         let fields: Vec<&Field> = self.scalars().map(|(field, _)| field).collect();
         let wanted: Vec<&Field> = columns.iter().map(|&column| fields[column]).collect();
@@ -255,7 +255,7 @@ impl Header {
 }
 
 impl Field {
-    /// The value of a number in ascii data: packed colours stand there as the float with their bits, or as the integer.
+    /// The value of a number in ascii data. A packed colour is written as the float with its bits, or as the integer.
     fn in_text(&self, number: f64) -> f64 {
         if self.is_packed_float { f64::from((number as f32).to_bits()) } else { number }
     }
@@ -342,7 +342,7 @@ mod tests {
         for scalar in ["F4", "F8", "I1", "I2", "I4", "I8"] {
             let size: usize = scalar[1..].parse().unwrap();
             let rows = payload(scalar);
-            // The columns are x, label (two scalars of two bytes), y and z; LZF stores them as literals alone.
+            // The columns are x, label (two scalars of two bytes), y and z. This LZF data has only literals.
             let starts = [(0, size), (size, 4), (size + 4, size), (2 * size + 4, size)];
             let column = |(start, width): (usize, usize)| {
                 rows.chunks(3 * size + 4).flat_map(move |row| &row[start..start + width]).copied().collect::<Vec<u8>>()

@@ -8,10 +8,10 @@ use crate::text::lines::{Lines, advice, text};
 use crate::text::number::number;
 use snake_geometry::excerpt;
 
-/// Reads x, y, z of the element `vertex` and, if asked for, the polygons of the elements `face` and `tristrips`.
+/// Reads x, y, z of the element `vertex` and, if requested, the polygons of the elements `face` and `tristrips`.
 ///
 /// The file may be ascii or binary in either byte order, with any scalar type. Ascii coordinates keep all their digits.
-/// Other properties and elements are ignored, whether or not their values fit their types. Faces that were not asked for
+/// Other properties and elements are ignored, whether or not their values fit their types. Faces that are not requested
 /// may be damaged or cut short.
 pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     let (elements, vertex, mut payload) = open(bytes)?;
@@ -37,7 +37,7 @@ pub(crate) fn read(bytes: &[u8], with_faces: bool) -> Result<Shape, String> {
     Ok(shape)
 }
 
-/// The vertices with all their properties that are no lists.
+/// The vertices with all properties except lists.
 pub(crate) fn table(bytes: &[u8]) -> Result<Table<'_>, String> {
     let (mut elements, vertex, mut payload) = open(bytes)?;
     elements[..vertex].iter().try_for_each(|element| payload.skip(element))?;
@@ -67,7 +67,7 @@ enum Payload<'a> {
 }
 
 impl<'a> Payload<'a> {
-    /// Reads a row and calls `found` with the values of the properties that `is_wanted`, and with their indices.
+    /// Reads a row and calls `found` with the index and the value of each property that `is_wanted`.
     fn next(
         &mut self,
         element: &Element,
@@ -108,7 +108,7 @@ impl<'a> Payload<'a> {
         Some(take(data, *count, stride).map(table).ok_or_else(|| cut_short(element)))
     }
 
-    /// Takes the rows of an element and calls `found` with those of its scalars that are in `columns`.
+    /// Reads the rows of an element and calls `found` with the values of its scalars in `columns`.
     fn rows(&mut self, element: &Element, columns: &[usize], found: &mut dyn FnMut(&[f64])) -> Result<(), String> {
         let mut places = vec![None; element.properties.len()];
         let scalars: Vec<usize> = element.scalars().map(|(index, _)| index).collect();
@@ -152,8 +152,8 @@ impl<'a> Payload<'a> {
         })
     }
 
-    /// Reads strips of triangles. Negative corners separate the strips of a list, and every second triangle of a strip is
-    /// turned.
+    /// Reads triangle strips. Negative corners separate the strips of a list, and every second
+    /// triangle of a strip has the opposite winding.
     fn strips(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), String> {
         self.corners(element, |corners| {
             for strip in corners.split(|&corner| corner < 0.0) {
@@ -172,8 +172,8 @@ impl<'a> Payload<'a> {
         }
     }
 
-    /// Refuses data after the last element that shows that the header describes other data. The elements `unread` may be
-    /// cut short, unless most faces have corners that are no vertices.
+    /// Refuses data after the last element if it shows that the header describes other data. The elements `unread` may be
+    /// cut short, unless most faces have corners that are not vertices.
     fn check_rest(mut self, unread: &[Element], points: &[Position]) -> Result<(), String> {
         for element in unread {
             let (mut num_rows, mut num_bad, mut is_cut) = (0, 0, false);
@@ -209,7 +209,7 @@ impl<'a> Payload<'a> {
     }
 }
 
-/// Reads the values of a row. Those that are not wanted need not be numbers.
+/// Reads the values of a row. Values that are not wanted need not be numbers.
 #[inline]
 fn read_row(
     element: &Element,
@@ -248,7 +248,7 @@ fn list_length(value: f64) -> Option<usize> {
     (value >= 0.0 && value.fract() == 0.0).then_some(value as usize)
 }
 
-/// An index of a vertex. A value that is no index becomes one that no file has.
+/// An index of a vertex. A value that is not an index becomes an index that no file has.
 fn index(corner: f64) -> u32 {
     if corner >= 0.0 && corner.fract() == 0.0 { corner as u32 } else { u32::MAX }
 }

@@ -24,7 +24,7 @@ pub(crate) struct Element {
     pub(crate) properties: Vec<Property>,
 }
 
-/// A number, or a list of numbers after its length.
+/// A number, or a list of numbers that follows its length.
 pub(crate) struct Property {
     pub(crate) name: String,
     pub(crate) length: Option<Scalar>,
@@ -78,7 +78,7 @@ impl Header {
         Err("no line `end_header`".into())
     }
 
-    /// Refuses headers that would be misread, and counts that exceed the data, before any memory is taken for them.
+    /// Refuses headers that would be misread, and counts that exceed the data, before memory is allocated for them.
     fn checked(self, data_length: usize) -> Result<Self, String> {
         for name in ["vertex", "face"] {
             if self.elements.iter().filter(|element| element.name == name).count() > 1 {
@@ -104,17 +104,17 @@ impl Header {
 }
 
 impl Element {
-    /// The bytes of a row in binary data, if it has no lists.
+    /// The number of bytes of a row in binary data; `None` if the element has lists.
     pub(crate) fn stride(&self) -> Option<usize> {
         self.properties.iter().map(|property| property.length.is_none().then_some(property.item.size)).sum()
     }
 
-    /// The properties that are numbers and no lists.
+    /// The properties that are numbers, not lists.
     pub(crate) fn scalars(&self) -> impl Iterator<Item = (usize, &Property)> {
         self.properties.iter().enumerate().filter(|(_, property)| property.length.is_none())
     }
 
-    /// The place of x, y and z among the [`Element::scalars`] of a vertex. Some scanners write them in upper case.
+    /// The indices of x, y and z among the [`Element::scalars`] of a vertex. Some scanners write upper-case names.
     pub(crate) fn axes(&self) -> Result<[usize; 3], String> {
         let names: Vec<&str> = self.scalars().map(|(_, property)| property.name.as_str()).collect();
         find(&names, AXES).map_err(|(axis, count)| match count {
@@ -141,8 +141,8 @@ impl Property {
         self.length.is_some() && CORNERS.contains(&self.name.as_str())
     }
 
-    /// The fewest bytes of a property: a digit and a separator in ascii; the value, or the length of an empty list, in
-    /// binary.
+    /// The minimum number of bytes of a property: a digit and a separator in ascii; in binary data
+    /// the value, or the length of an empty list.
     fn min_size(&self, is_ascii: bool) -> usize {
         if is_ascii { 2 } else { self.length.unwrap_or(self.item).size }
     }
@@ -171,7 +171,7 @@ fn unknown_type(word: &str, property: &str) -> String {
     format!("header: property `{}` has the unknown type `{}`", excerpt(property, 40), excerpt(word, 20))
 }
 
-/// The type with this name, of the byte order `<` or `>`. Text has no byte order, and any type.
+/// The type with this name, in the byte order `<` or `>`. Text has no byte order and can have any type.
 fn scalar(name: &str, order: &str) -> Option<Scalar> {
     let code = match name {
         _ if order.is_empty() => return Scalar::parse("<f8"),

@@ -1,7 +1,7 @@
-//! Rotations as files write them.
+//! Rotations as files store them.
 
-/// The rotation of a quaternion `w x y z` of any length, row by row. Writers put zeros where no rotation is known, which
-/// is none.
+/// The rotation of a quaternion `w x y z` of any length, row by row. Zeros, which writers use if no rotation is known,
+/// give no rotation.
 pub(crate) fn rotation(quaternion: [f64; 4]) -> Result<[[f64; 3]; 3], String> {
     let most = quaternion.into_iter().map(f64::abs).fold(0.0, f64::max);
     if !quaternion.iter().all(|v| v.is_finite()) {
@@ -10,7 +10,7 @@ pub(crate) fn rotation(quaternion: [f64; 4]) -> Result<[[f64; 3]; 3], String> {
     if most == 0.0 {
         return Ok([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     }
-    // The square of a large number would not be finite, and that of a small one would be zero.
+    // The square of a large number would overflow, and that of a small number would be zero.
     let scaled = quaternion.map(|v| v / most);
     let length = scaled.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [w, x, y, z] = scaled.map(|v| v / length);

@@ -10,7 +10,7 @@ use crate::text::number::number;
 const HEADER_BYTES: usize = 84;
 /// Bytes of a triangle: a normal, three corners, two bytes of attributes.
 const TRIANGLE_BYTES: usize = 50;
-/// Bytes in which the first facet of an ascii file begins.
+/// The first facet of an ascii file begins within this number of bytes.
 const MAX_TITLE_BYTES: usize = 1 << 10;
 
 /// Reads the triangles. Corners at the same position become one point, in the order of their first occurrence.
@@ -28,8 +28,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     }
 }
 
-/// Whether a file begins with `solid` and has one of the other words of the format near its beginning, which the title of
-/// a binary file does not have.
+/// Whether a file begins with `solid` and has another keyword of the format near its beginning. The title of a
+/// binary file has no such keyword.
 fn is_ascii(bytes: &[u8]) -> bool {
     let Some((_, line)) = Lines::from_header(bytes).next() else { return false };
     let begins = text(line).trim_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case("solid"));
@@ -153,7 +153,7 @@ mod tests {
             assert_eq!((&shape.points[..], &shape.triangles[..]), (&POINTS[..], &TRIANGLES[..]));
         }
         assert!(read(b"solid\nendsolid\n").unwrap().points.is_empty());
-        // Some programs append bytes of their own.
+        // Some programs append bytes.
         assert_eq!(read(&[binary_file("x"), vec![0; 9]].concat()).unwrap().points, POINTS);
     }
 

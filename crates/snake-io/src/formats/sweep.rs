@@ -1,16 +1,16 @@
-//! Sweeps of laser scanners as plain little-endian float32 values, as the data sets KITTI and nuScenes store them.
+//! Laser scanner sweeps of plain little-endian float32 values, as in the data sets KITTI and nuScenes.
 
 use crate::table::Table;
 use crate::table::scalar::Scalar;
 use crate::table::shape::Shape;
 
-/// The values of a point in both data sets; further ones have no name.
+/// The values of a point in both data sets; further values have no name.
 const NAMES: [&str; 4] = ["x", "y", "z", "intensity"];
 
-/// Numbers of values a point that files are checked for.
+/// Numbers of values per point for which files are checked.
 const STRIDES: std::ops::RangeInclusive<usize> = 3..=12;
 
-/// Values that are enough to find the number of values a point.
+/// Number of values that are enough to find the number of values per point.
 const MAX_CHECKED: usize = 1 << 18;
 
 /// Reads x, y and z of points of `num_values` values each.
@@ -35,11 +35,11 @@ pub(crate) fn table(bytes: &[u8], num_values: usize) -> Result<Table<'_>, String
     Ok(Table::rows_of(names, bytes, bytes.len() / size, std::iter::repeat_n(Scalar::FLOAT, num_values)))
 }
 
-/// [`read`] if the content can have `num_values` values a point, which the name of the file only suggests.
+/// [`read`] if the content can have `num_values` values per point, a number that only the file's name suggests.
 pub(crate) fn read_checked(bytes: &[u8], num_values: usize) -> Result<Shape, String> {
     let (values, _) = bytes.as_chunks::<4>();
     let values: Vec<f64> = values.iter().take(MAX_CHECKED).map(|value| f32::from_le_bytes(*value).into()).collect();
-    // A time can be as large in one of four values.
+    // One of four values can be a time, which may be this large.
     let is_wild = |value: &&f64| value.abs() > 1e6 || (**value != 0.0 && value.abs() < 1e-20);
     if values.iter().filter(is_wild).count() * 4 > values.len() {
         return Err(format!(
@@ -57,7 +57,7 @@ pub(crate) fn read_checked(bytes: &[u8], num_values: usize) -> Result<Shape, Str
     read(bytes, num_values)
 }
 
-/// The number of values a point that the values show, if it is not `num_values`.
+/// The number of values per point that the content shows, if it is not `num_values`.
 ///
 /// x, y, z and intensity differ in magnitude, so their number explains a share of the variance of the logarithms. A
 /// number that is coprime to the true one explains nothing.
@@ -69,7 +69,7 @@ fn other_stride(values: &[f64], num_values: usize) -> Option<usize> {
     let most = shares.iter().fold(0.0_f64, |most, &(_, share)| most.max(share));
     let &(stride, share) = shares.iter().find(|(_, share)| *share >= 0.9 * most)?;
     let is_other = if stride.is_multiple_of(num_values) {
-        // The points of scanners can differ by turns, but not so much that a coordinate is constant in every second one.
+        // The points of a scanner can alternate, but not so much that a coordinate is constant in every second point.
         stride != num_values && share > own + 0.05 && has_constant(values, num_values, stride)
     } else {
         share > 0.03 && share > 4.0 * own
@@ -84,8 +84,8 @@ fn explained(values: &[f64], stride: usize) -> f64 {
     if all > 0.0 { 1.0 - within / all } else { 0.0 }
 }
 
-/// Whether a coordinate hardly varies in one of the points that make up `stride` values, unless this point is always
-/// zero, as missing returns are.
+/// Whether a coordinate hardly varies in one of the points that `stride` values consist of. A point that is always
+/// zero, like missing returns, does not count.
 fn has_constant(values: &[f64], num_values: usize, stride: usize) -> bool {
     let deviation = |column: usize| spread(values.iter().skip(column).step_by(stride)).sqrt();
     let is_zero =

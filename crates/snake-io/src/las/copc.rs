@@ -1,8 +1,8 @@
-//! Cloud-optimised point clouds (COPC): LAZ files whose chunks are the nodes of an octree, so that a part of the cloud is
-//! read by its bounds.
+//! Cloud-optimised point clouds (COPC): LAZ files whose chunks are the nodes of an octree, so that a part of the cloud can
+//! be read by its bounds.
 //!
-//! The chunks are decoded as those of any LAZ file. The reader trusts neither the octree nor the bounds of the header: a
-//! point outside of them is an error, because a part of the cloud would miss it.
+//! The chunks are decoded like those of any LAZ file. The reader trusts neither the octree nor the bounds in the header: a
+//! point outside them is an error, because a part of the cloud would miss it.
 
 use std::fmt::Debug;
 use std::fs::File;
@@ -18,7 +18,7 @@ use crate::crs::Crs;
 use crate::las::{HEADER_SIZE, Header, check_items, field};
 use crate::{Error, MAX_EXPANSION, Result};
 
-/// The place of the record of the octree, which comes first, and its size.
+/// The position of the octree's record, which comes first, and its size.
 const INFO: Range<usize> = 375..375 + 54 + 160;
 
 /// Bytes of an entry of the octree.
@@ -35,13 +35,13 @@ pub trait Ranges: Debug + Send + Sync {
     /// Number of bytes.
     ///
     /// # Errors
-    /// When the file is away.
+    /// When the file is not available.
     fn length(&self) -> io::Result<u64>;
 
     /// A text that changes when the file changes.
     ///
     /// # Errors
-    /// When the file is away.
+    /// When the file is not available.
     fn version(&self) -> io::Result<String>;
 
     /// The bytes of a range.
@@ -61,7 +61,7 @@ impl LocalFile {
     /// The file at a path.
     ///
     /// # Errors
-    /// When the file is away.
+    /// When the file is not available.
     pub fn new(path: &Path) -> io::Result<Self> {
         Ok(Self { path: path.canonicalize()? })
     }
@@ -165,13 +165,13 @@ impl Copc {
         self.nodes.iter().map(|node| (node.bounds, node.num_points))
     }
 
-    /// Calls `found` with the index in the file and the position of all points in a rectangle along x and y, given by its
-    /// lowest and its highest corner, in the units of the file. It is also called with others: whole nodes are read. Points that
-    /// are withheld or classified as noise are left out.
+    /// Calls `found` with the index in the file and the position of all points in a rectangle along x and
+    /// y, given by its lowest and its highest corner, in the units of the file. Because whole nodes are
+    /// read, it also gets points outside. Points that are withheld or classified as noise are left out.
     ///
     /// # Errors
-    /// [`Error::Io`] when a chunk cannot be read; [`Error::Format`] for a damaged chunk, and for points outside of their node
-    /// or of the bounds of the file.
+    /// [`Error::Io`] when a chunk cannot be read; [`Error::Format`] for a damaged chunk, and for points outside their node or
+    /// the bounds of the file.
     pub fn for_each_position_in(&self, [low, high]: [[f64; 2]; 2], found: &mut dyn FnMut(u64, [f64; 3])) -> Result<()> {
         let all = self.widened(self.bounds);
         for node in &self.nodes {
@@ -204,7 +204,7 @@ impl Copc {
         Ok(())
     }
 
-    /// Bounds with a margin of two steps of the coordinates, which writers round after they sort points into nodes.
+    /// Bounds with a margin of two steps of the coordinates, because writers round these after they sort points into nodes.
     fn widened(&self, Bounds { low, high }: Bounds) -> Bounds {
         let margin = |axis: usize| 2.0 * self.header.scale[axis].abs();
         Bounds {
@@ -275,7 +275,7 @@ fn nodes(source: &dyn Ranges, info: &[u8], length: u64) -> Result<Vec<Node>> {
     let mut pages = vec![whole(5).zip(whole(6)).ok_or_else(damaged)?];
     let (mut nodes, mut left) = (Vec::new(), length);
     while let Some((offset, size)) = pages.pop() {
-        // All pages together are smaller than the file, so that pages in a circle end.
+        // All pages together are smaller than the file, so cyclic references end.
         left = left.checked_sub(size.max(1)).ok_or_else(damaged)?;
         let end = offset.checked_add(size).filter(|end| *end <= length).ok_or_else(damaged)?;
         for entry in read(source, offset..end)?.as_chunks::<ENTRY>().0 {
@@ -301,7 +301,7 @@ fn nodes(source: &dyn Ranges, info: &[u8], length: u64) -> Result<Vec<Node>> {
     Ok(nodes)
 }
 
-/// Sorts the nodes by their place in the file and counts their points.
+/// Sorts the nodes by their position in the file and counts their points.
 fn in_order(mut nodes: Vec<Node>, length: u64, num_points: u64) -> std::result::Result<Vec<Node>, String> {
     nodes.sort_unstable_by_key(|node| node.offset);
     let (mut end, mut first) = (0, 0);
@@ -363,7 +363,7 @@ mod tests {
             assert!(text.contains(expected), "{expected}: {text}");
         }
 
-        // The first page of the octree leads to itself.
+        // The first page of the octree refers to itself.
         let mut page = [0; 16];
         page[..8].copy_from_slice(&(octree as u64).to_le_bytes());
         page[8..12].copy_from_slice(&(32_i32).to_le_bytes());

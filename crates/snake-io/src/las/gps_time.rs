@@ -10,7 +10,7 @@ use laz::decompressors::{IntegerDecompressor, IntegerDecompressorBuilder};
 use laz::models::{ArithmeticModel, ArithmeticModelBuilder};
 use laz::record::FieldDecompressor;
 
-/// The code of a time that is 500 steps or more later. Codes 2 to 499 are the number of steps, and codes 501 to 509 are
+/// The code of a time that is 500 or more steps later. Codes 2 to 499 are the number of steps; codes 501 to 509 mean
 /// -1 to -9 steps.
 const MANY: i32 = 500;
 /// The code of a time that is 10 steps or more earlier.

@@ -25,8 +25,8 @@ pub(crate) const HEADER_SIZE: u64 = 375;
 /// The classes of noise: low and high points.
 const NOISE: [u8; 2] = [7, 18];
 
-/// Reads the coordinates: integers times a scale plus an offset. Points that are withheld or noise are not finite, unless
-/// they are kept.
+/// Reads the coordinates: integers times a scale plus an offset. Unless they are kept, points that are withheld or noise
+/// are not finite.
 pub(crate) fn read(bytes: &[u8], keep_withheld: bool) -> Result<Shape, String> {
     let (mut points, mut num_withheld): (Vec<Position>, usize) = (Vec::new(), 0);
     for_each_position(Cursor::new(bytes), keep_withheld, &mut |position| {
@@ -44,8 +44,8 @@ pub(crate) fn read(bytes: &[u8], keep_withheld: bool) -> Result<Shape, String> {
     Ok(shape)
 }
 
-/// Calls `found` with each position of a file, in memory that does not grow with their number: with NaN for points that
-/// are withheld or noise, unless they are kept. Returns the coordinate reference system.
+/// Calls `found` with each position of a file; memory does not grow with the number of points. Unless they are kept,
+/// points that are withheld or noise are NaN. Returns the coordinate reference system.
 pub(crate) fn for_each_position(
     mut source: impl BufRead + Seek,
     keep_withheld: bool,
@@ -64,7 +64,7 @@ pub(crate) fn for_each_position(
     }))
 }
 
-/// Intensities and colours of 16 bits of the points of a file that [`read`] reads.
+/// Intensities and 16-bit colours of the points that [`read`] reads.
 pub(crate) fn intensities_and_colors(bytes: &[u8]) -> Result<(Vec<f32>, Vec<[f64; 3]>), String> {
     let header = Header { with_attributes: true, ..Header::parse(bytes)? };
     let (mut intensity, mut colors) = (Vec::new(), Vec::new());
@@ -84,7 +84,7 @@ pub(crate) fn crs(bytes: &[u8]) -> Option<Crs> {
     header.crs(bytes.get(..header.data_offset)?, read)
 }
 
-/// The first bytes of a file, at most `number`. The next byte that is read follows them.
+/// The first bytes of a file, at most `number`. The source is then positioned after them.
 fn start(source: &mut (impl Read + Seek), number: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let read = source.rewind().and_then(|()| source.take(number).read_to_end(&mut bytes));
@@ -98,15 +98,15 @@ pub(crate) struct Header {
     pub(crate) record_length: usize,
     pub(crate) is_compressed: bool,
     point_format: u8,
-    /// Whether intensity and colours are decoded too, which takes time.
+    /// Whether intensity and colours are also decoded, which takes time.
     with_attributes: bool,
-    /// Whether other data follow the points: waveforms, or extended records.
+    /// Whether other data, such as waveforms or extended records, follow the points.
     has_other_data: bool,
     pub(crate) data_offset: usize,
     /// The offset of the variable length records, and their number.
     records_offset: usize,
     num_records: u32,
-    /// The same of the extended records after the points.
+    /// Offset and number of the extended records after the points.
     extended: (u64, u32),
     pub(crate) scale: [f64; 3],
     offset: [f64; 3],
@@ -182,7 +182,7 @@ impl Header {
         Ok(head)
     }
 
-    /// The place of red in a point record; green and blue follow.
+    /// The offset of red in a point record; green and blue follow.
     fn colors_at(&self) -> Option<usize> {
         match self.point_format {
             2 => Some(20),
@@ -208,7 +208,7 @@ impl Header {
         if *num_points > data_length / record_length {
             return Err(format!("{num_points} points of {record_length} bytes each, but {data_length} bytes follow"));
         }
-        // A writer that was interrupted leaves the number that it began with.
+        // An interrupted writer leaves the initial number of points in the header.
         let (fitting, rest) = (data_length / record_length, data_length % record_length);
         if *num_points < fitting && rest == 0 && !self.has_other_data {
             return Err(format!(
@@ -330,8 +330,8 @@ impl Header {
         Ok(())
     }
 
-    /// Decodes one chunk of layers, of at most `length` bytes and the points that are left after `num_read`. Returns the
-    /// number of its points and its size in bytes.
+    /// Decodes one chunk of layers, with at most `length` bytes and at most the points that remain after `num_read`.
+    /// Returns the number of its points and its size in bytes.
     pub(crate) fn chunk(
         &self,
         items: &Vec<LazItem>,

@@ -1,4 +1,4 @@
-//! The records of a LAS file beside its points.
+//! The records of a LAS file that are not points.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! The records in a chunk of an MCAP file, compressed with zstd, lz4 or not at all.
+//! The records in a chunk of an MCAP file: compressed with zstd or lz4, or uncompressed.
 
 use std::io::{self, Read};
 
@@ -8,17 +8,17 @@ use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use crate::logs::records::Fields;
 
-/// A last block of zstd without content, and a checksum, which is not checked: a chunk has its own.
+/// A last zstd block without content, and a checksum, which is not checked: a chunk has its own.
 const ZSTD_END: &[u8] = &[1, 0, 0, 0, 0, 0, 0];
 
-/// Every decoder of zstd accepts windows of 8 MiB (RFC 8878), and larger ones where the file is large.
+/// Every zstd decoder accepts windows of 8 MiB (RFC 8878). Larger windows are accepted if the file is large.
 const MIN_WINDOW: usize = 8 << 20;
 
-/// Calls `add` with the kind and the content of each record in the body of a chunk, whose end may be missing. A record
-/// of more than `max_bytes` is damaged.
+/// Calls `add` with the kind and the content of each record in the body of a chunk, which may be cut short. A record
+/// of more than `max_bytes` counts as damaged.
 ///
 /// # Errors
-/// The damage, after the records before it. A wrong checksum comes after all records.
+/// The damage, after the records before it. A wrong checksum is reported after all records.
 pub(crate) fn for_each_record(
     body: &[u8],
     max_bytes: usize,
@@ -27,7 +27,7 @@ pub(crate) fn for_each_record(
     let damaged = |reason: String| format!("a chunk is damaged, and its messages are left out: {reason}");
     let mut fields = Fields(body);
     let mut head = || {
-        // The times of the first and the last message are not read.
+        // The times of the first and the last message are skipped.
         fields.take(16)?;
         let head = (fields.u64()?, fields.u32()?, fields.text()?);
         fields.take(8)?;
@@ -72,7 +72,7 @@ pub(crate) fn for_each_record(
     }
 }
 
-/// Frames of zstd, one after another. Where the data are cut, all whole blocks are decoded.
+/// Consecutive zstd frames. If the data are cut short, all whole blocks are decoded.
 struct Zstd<'a> {
     data: &'a [u8],
     decoder: FrameDecoder,
@@ -85,7 +85,7 @@ impl<'a> Zstd<'a> {
         Self { data, decoder }
     }
 
-    /// Begins the next frame, after those that hold no content.
+    /// Begins the next frame; skips frames without content.
     fn begin_frame(&mut self) -> io::Result<()> {
         match self.decoder.init(&mut self.data) {
             Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
@@ -107,7 +107,7 @@ impl Read for Zstd<'_> {
                 self.begin_frame()?;
             } else if let Err(error) = self.decoder.decode_blocks(&mut self.data, BlockDecodingStrategy::UptoBlocks(1))
             {
-                // Before the end of a frame the decoder keeps a window of what it has decoded.
+                // Until the end of a frame, the decoder holds back a window of decoded data.
                 if !self.data.is_empty() {
                     return Err(io::Error::other(error));
                 }

@@ -1,4 +1,4 @@
-//! MCAP files. A damaged chunk and a cut end cost their own messages only.
+//! MCAP files. A damaged chunk or a cut end only loses its own messages.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
@@ -11,7 +11,7 @@ use crate::logs::message::{Message, Messages};
 use crate::logs::records::{MAGIC, Record, kind};
 use crate::{Error, MAX_EXPANSION, Result};
 
-/// The topics and the schemas of their messages, in the order of the file. Damage is left to the reader.
+/// The topics and the schemas of their messages, in the order of the file. Damage is reported when messages are read.
 pub(crate) fn topics(path: &Path) -> Result<Vec<(String, String)>> {
     let mut topics: Vec<(String, String)> = Vec::new();
     let mut first_error = None;
@@ -39,7 +39,7 @@ pub(crate) fn messages(path: &Path, topic: &str) -> Result<Messages> {
     })))
 }
 
-/// A channel, which has the messages of one writer to a topic.
+/// A channel: the messages of one writer to a topic.
 struct Channel {
     topic: String,
     schema: String,
@@ -54,13 +54,13 @@ struct Found {
     data: Vec<u8>,
 }
 
-/// The messages of a file, in its order, or only those of a topic.
+/// The messages of a file, in order, or only those of one topic.
 struct Reader {
     path: PathBuf,
     file: BufReader<File>,
-    /// Bytes from here to the end of the file.
+    /// Number of bytes from here to the end of the file.
     left: u64,
-    /// The longest record in bytes.
+    /// Maximum length of a record in bytes.
     max_record: usize,
     topic: Option<String>,
     schemas: HashMap<u16, String>,
@@ -75,7 +75,7 @@ impl Reader {
         let io_error = |source| Error::Io { path: path.into(), source };
         let file = File::open(path).map_err(io_error)?;
         let length = file.metadata().map_err(io_error)?.len();
-        // A damaged length would otherwise take all memory. Lengths in messages of ROS have 32 bits.
+        // A damaged length could otherwise take all memory. Lengths in ROS messages have 32 bits.
         let max_record = length.saturating_mul(MAX_EXPANSION as u64).min(u32::MAX.into()) as usize;
         let mut reader = Self {
             path: path.into(),
@@ -106,7 +106,7 @@ impl Reader {
         Error::Io { path: self.path.clone(), source }
     }
 
-    /// The next bytes, or fewer where the file ends.
+    /// The next `length` bytes, or fewer at the end of the file.
     fn bytes(&mut self, length: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let length = length.min(self.left);
@@ -122,7 +122,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Reads the next record. What it has is found in `waiting`.
+    /// Reads the next record. Its messages are appended to `waiting`.
     fn read_record(&mut self) -> Result<()> {
         let head = self.bytes(9)?;
         let Ok::<[u8; 9], _>([kind, length @ ..]) = head.as_slice().try_into() else { return Err(self.cut()) };
@@ -145,7 +145,7 @@ impl Reader {
         if is_whole { Ok(()) } else { Err(self.cut()) }
     }
 
-    /// The file goes on with a summary, which is not read, and ends as it began.
+    /// Checks that the file ends as it began. The summary before the end is not read.
     fn check_end(&mut self) -> Result<()> {
         self.has_ended = true;
         let end = MAGIC.len() as i64;
@@ -157,8 +157,8 @@ impl Reader {
         if self.bytes(end as u64)? == MAGIC { Ok(()) } else { Err(self.cut()) }
     }
 
-    /// Reads the messages of a chunk. Those of a damaged chunk are left out, because its checksum is for all of them;
-    /// those of a chunk that the end of the file cuts are kept.
+    /// Reads the messages of a chunk. Messages of a damaged chunk are dropped, because its checksum
+    /// covers all of them; messages of a chunk that the end of the file cuts short are kept.
     fn read_chunk(&mut self, body: &[u8], is_whole: bool) {
         let mut messages = Vec::new();
         let result = for_each_record(body, self.max_record, |kind, content| {
@@ -171,7 +171,7 @@ impl Reader {
         }
     }
 
-    /// Notes a schema or a channel, and returns a message of the topic.
+    /// Stores a schema or a channel; returns a message of the topic.
     fn add(&mut self, kind: u8, content: &[u8]) -> std::result::Result<Option<Found>, String> {
         match Record::parse(kind, content).map_err(|error| format!("a record is damaged: {error}"))? {
             Record::Schema { id, name } => {

@@ -1,4 +1,4 @@
-//! Messages of a recording, as its files hold them.
+//! Messages of a recording, as they are stored.
 
 use crate::Result;
 

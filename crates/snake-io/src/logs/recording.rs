@@ -19,28 +19,28 @@ pub struct RecordedCloud {
     pub log_time: u64,
     /// The frame that the message names.
     pub frame_id: String,
-    /// The points with those that are not finite, relative to an origin if they are far from zero.
+    /// All points, including those that are not finite, relative to an origin if they are far from zero.
     pub cloud: Cloud,
 }
 
-/// The clouds of a recording, an iterator made by [`read_recording`]. It reads one cloud or one chunk of the file at a time. An
-/// error, [`Error::Io`] or [`Error::Format`], stands for a message, a chunk or the rest of a file that is damaged or compressed.
-/// The clouds after it follow: the iterator has not ended.
+/// The clouds of a recording: the iterator of [`read_recording`]. It reads one cloud or one chunk of the
+/// file at a time. An error, [`Error::Io`] or [`Error::Format`], replaces a message, a chunk or the rest of
+/// a file that is damaged or compressed in an unknown way. The iterator then continues with the next cloud.
 pub struct Recording {
     path: PathBuf,
     topic: String,
     messages: Messages,
-    /// The number of messages that have been read.
+    /// The number of messages read so far.
     number: usize,
 }
 
-/// Whether the path is that of a recording: an MCAP file, or a bag of ROS 2 in SQLite (`.db3`), which [`read_recording`] refuses
-/// with the command that converts it.
+/// Whether the path names a recording: an MCAP file, or a ROS 2 bag in SQLite (`.db3`). [`read_recording`] refuses the latter with
+/// the command that converts it.
 pub fn is_recording(path: &Path) -> bool {
     matches!(extension(path).as_str(), "mcap" | "db3")
 }
 
-/// Reads the clouds of a topic of an MCAP file, one by one, in its order. Without a topic the only one with point clouds is taken.
+/// Reads the clouds of a topic of an MCAP file one by one, in order. Without a topic, it takes the only one with point clouds.
 ///
 /// ```no_run
 /// for cloud in snake_io::read_recording("drive.mcap".as_ref(), Some("/points"))? {
@@ -51,8 +51,8 @@ pub fn is_recording(path: &Path) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no recording, the topic has no point clouds, or no
-/// topic is given and several have some.
+/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is not a recording, when the topic has no point clouds,
+/// or when no topic is given and several have point clouds.
 pub fn read_recording(path: &Path, topic: Option<&str>) -> Result<Recording> {
     let wrong = |reason: String| Error::Format { path: path.into(), reason };
     if path.is_dir() {
@@ -79,7 +79,7 @@ impl Iterator for Recording {
 
     fn next(&mut self) -> Option<Self::Item> {
         Some(self.messages.next()?.and_then(|Message { log_time, encoding, data }| {
-            // A message is counted also if it is damaged.
+            // A damaged message is counted, too.
             let number = self.number;
             self.number += 1;
             let (frame_id, cloud) = decode(&encoding, &data).map_err(|reason| {

@@ -1,4 +1,4 @@
-//! The records of MCAP files that are read (<https://mcap.dev/spec>): numbers are little-endian, texts have their length before them.
+//! The MCAP records that are read (<https://mcap.dev/spec>). Numbers are little-endian; a text follows its length.
 
 /// The first and the last bytes of a file.
 pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -48,7 +48,7 @@ impl<'a> Record<'a> {
     }
 }
 
-/// The fields of a record that are still to be read.
+/// The remaining fields of a record.
 pub(crate) struct Fields<'a>(pub(crate) &'a [u8]);
 
 impl<'a> Fields<'a> {

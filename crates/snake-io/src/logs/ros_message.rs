@@ -1,4 +1,4 @@
-//! Decodes messages `PointCloud2` of ROS 2 and ROS 1.
+//! Decodes `PointCloud2` messages of ROS 2 and ROS 1.
 
 use snake_geometry::{Cloud, PointCloud2Layout, PointCloud2View, PointField, PointSource};
 
@@ -7,12 +7,12 @@ pub(crate) fn decode(encoding: &str, data: &[u8]) -> std::result::Result<(String
     let reader = MessageReader::new(encoding, data)?;
     match reader.version {
         Version::One => cloud(reader, false),
-        // The second version of CDR puts its size before a list of structures. Some writers leave it out.
+        // Version 2 of CDR writes the size of a list of structures before it. Some writers omit this size.
         Version::Two => cloud(reader.clone(), true).or_else(|_| cloud(reader, false)),
     }
 }
 
-/// The frame and the points of a message, with the size of the list of fields before it or not.
+/// The frame and the points of a message. `has_list_size`: a size precedes the list of fields.
 fn cloud(mut reader: MessageReader, has_list_size: bool) -> std::result::Result<(String, Cloud), String> {
     reader.skip_time()?;
     let frame_id = reader.text()?;
@@ -33,22 +33,22 @@ fn cloud(mut reader: MessageReader, has_list_size: bool) -> std::result::Result<
         .map(|(name, offset, datatype, count)| PointField { name, offset: *offset, datatype: *datatype, count: *count })
         .collect();
     let view = PointCloud2View::new(layout, &fields, reader.bytes(length)?).map_err(|error| error.to_string())?;
-    // Points of no bytes could be any number.
+    // Otherwise, points of zero bytes could have any number.
     if view.num_points() > length {
         return Err(format!("{} points in {length} bytes", view.num_points()));
     }
     Ok((frame_id, view.to_cloud()))
 }
 
-/// The versions of CDR; the encoding of ROS 1 counts as the first.
+/// The versions of CDR; the ROS 1 encoding counts as the first.
 #[derive(Clone, Copy)]
 enum Version {
     One,
     Two,
 }
 
-/// A reader of messages in CDR, the encoding of ROS 2, in which numbers are aligned to their size from the end of the header,
-/// or in the encoding of ROS 1, which has no alignment.
+/// A reader of messages in CDR, the encoding of ROS 2, or in the encoding of ROS 1. In CDR, numbers
+/// are aligned to their size, counted from the end of the header; ROS 1 has no alignment.
 #[derive(Clone)]
 struct MessageReader<'a> {
     data: &'a [u8],
@@ -59,17 +59,17 @@ struct MessageReader<'a> {
 }
 
 impl<'a> MessageReader<'a> {
-    /// At the time in the header of a message.
+    /// A reader that is positioned at the time in the header of a message.
     fn new(encoding: &str, data: &'a [u8]) -> std::result::Result<Self, String> {
         let at_start = |data, version, is_little_endian, is_aligned| {
             Ok(Self { data, place: 0, version, is_little_endian, is_aligned })
         };
         match (encoding, data) {
-            // The number of the message comes before its time.
+            // The sequence number of the message precedes its time.
             ("ros1", [_, _, _, _, data @ ..]) => at_start(data, Version::One, true, false),
             ("cdr", [0, kind @ (0 | 1), _, _, data @ ..]) => at_start(data, Version::One, *kind == 1, true),
-            // The middleware have different numbers for the second version. All its numbers here have at most four bytes,
-            // which are aligned as in the first.
+            // The middlewares use different numbers for version 2. All its numbers here have at most four bytes, which are
+            // aligned as in version 1.
             ("cdr", [0, kind @ (6 | 7 | 16 | 17), _, _, data @ ..]) => {
                 at_start(data, Version::Two, kind % 2 == 1, true)
             }
@@ -101,7 +101,7 @@ impl<'a> MessageReader<'a> {
         Ok(if self.is_little_endian { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) } as usize)
     }
 
-    /// A text with its length before it, in ROS 2 with a zero at its end.
+    /// A text that follows its length; in ROS 2 it ends with a zero.
     fn text(&mut self) -> std::result::Result<String, String> {
         let length = self.number()?;
         let bytes = self.bytes(length)?;

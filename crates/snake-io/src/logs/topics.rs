@@ -6,7 +6,7 @@ use snake_geometry::excerpt;
 const SCHEMAS: [&str; 3] =
     ["sensor_msgs/msg/PointCloud2", "sensor_msgs/PointCloud2", "sensor_msgs::msg::dds_::PointCloud2_"];
 
-/// The given one of the topics and the schemas of their messages, or the only one with point clouds.
+/// The given topic, or the only topic with point clouds. `topics` has the topics and the schemas of their messages.
 pub(crate) fn chosen(topics: &[(String, String)], given: Option<&str>) -> Result<String, String> {
     let is_cloud = |schema: &str| SCHEMAS.contains(&schema);
     let clouds: Vec<&str> =
@@ -28,7 +28,7 @@ pub(crate) fn chosen(topics: &[(String, String)], given: Option<&str>) -> Result
     }
 }
 
-/// The topics of a recording without point clouds, and how some of them become point clouds.
+/// The error for a recording without point clouds: its topics, and how to convert some of them.
 fn without_clouds(topics: &[(String, String)]) -> String {
     let all: Vec<String> = topics.iter().map(|(topic, schema)| format!("{topic} ({schema})")).collect();
     let all = excerpt(&all.join(", "), 1000);
@@ -36,7 +36,7 @@ fn without_clouds(topics: &[(String, String)]) -> String {
     format!("no topic has point clouds (sensor_msgs/PointCloud2); topics: {all}{}", advice.unwrap_or_default())
 }
 
-/// How messages of a laser scanner become point clouds.
+/// How to convert messages of a sensor to point clouds.
 fn conversion(schema: &str) -> Option<&'static str> {
     let name = schema.rsplit(['/', '.', ':']).next().unwrap_or(schema);
     Some(match name {

@@ -1,4 +1,4 @@
-//! Tables of numbers, as files hold points: named columns, whose numbers are decoded when they are asked for.
+//! Tables of numbers, as files hold points: named columns whose numbers are decoded on demand.
 
 pub(crate) mod scalar;
 pub(crate) mod shape;
@@ -7,7 +7,7 @@ use std::borrow::Cow;
 
 use crate::table::scalar::Scalar;
 
-/// A table whose header is read.
+/// A table whose header has been read.
 pub(crate) struct Table<'a> {
     /// The names of the columns; empty for arrays and text without a header.
     pub(crate) names: Vec<String>,
@@ -17,11 +17,11 @@ pub(crate) struct Table<'a> {
 enum Cells<'a> {
     /// Numbers of known types at known places.
     Binary { bytes: Cow<'a, [u8]>, num_rows: usize, places: Vec<Place> },
-    /// Numbers that are found only by reading row after row.
+    /// Numbers that can only be found by reading row after row.
     Parsed(Box<Parse<'a>>),
 }
 
-/// Calls the second argument with the numbers of each row in the columns of the first.
+/// Calls the second argument with the numbers of each row, in the columns given by the first argument.
 type Parse<'a> = dyn Fn(&[usize], &mut dyn FnMut(&[f64])) -> Result<(), String> + 'a;
 
 /// The numbers of a column: their type, the offset of the first one and the bytes from one to the next.
@@ -38,7 +38,7 @@ impl Place {
     pub(crate) fn decode(self, bytes: &[u8], row: usize) -> f64 {
         let Self { scalar, offset, stride } = self;
         let rest = &bytes[offset + row * stride..];
-        // Most numbers need no copy of a length that is known only here.
+        // For most numbers, this avoids a copy whose length is only known at run time.
         match (scalar, rest) {
             (Scalar::FLOAT, &[a, b, c, d, ..]) => f32::from_le_bytes([a, b, c, d]).into(),
             (Scalar::DOUBLE, &[a, b, c, d, e, f, g, h, ..]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
@@ -110,10 +110,10 @@ pub(crate) fn decode<const N: usize>(
     (0..num_rows).map(move |row| places.map(|place| place.decode(bytes, row)))
 }
 
-/// The columns with these names, in upper or lower case if none of the names occurs as it is.
+/// The columns with these names. Upper and lower case are ignored if none of the names occurs as it is.
 ///
 /// # Errors
-/// The first name that does not occur once, and how often it occurs.
+/// The first name that does not occur exactly once, and how often it occurs.
 pub(crate) fn find<'n, const N: usize>(
     columns: &[impl AsRef<str>],
     names: [&'n str; N],

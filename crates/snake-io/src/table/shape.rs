@@ -16,19 +16,19 @@ pub(crate) struct Shape {
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The number of faces in the file that were not read.
     pub(crate) unread_faces: usize,
-    /// What a user should know of the points, in sentences.
+    /// Sentences for the user about the points.
     pub(crate) notes: Vec<String>,
-    /// Where the sensor was, in the file's frame.
+    /// The position of the sensor, in the file's frame.
     pub(crate) viewpoint: Option<Position>,
 }
 
-/// At most so many faces are dominant with more than this share of the surface of at least so many, if they are larger than
-/// the others together by this factor.
+/// Faces are dominant if at most `MAX_DOMINANT` of them hold more than this share of the surface of at least this many faces,
+/// and if their extent is more than `LARGER` times that of the other faces.
 const MAX_DOMINANT: usize = 4;
 const DOMINANT: (f64, usize) = (0.5, 20);
 const LARGER: f64 = 3.0;
 
-/// A larger number would fill the memory of most machines.
+/// More samples would fill the memory of most machines.
 const MAX_SAMPLES: usize = 100_000_000;
 
 impl Shape {
@@ -52,8 +52,8 @@ impl Shape {
         Cloud::from_positions(self.points.iter().copied())
     }
 
-    /// Samples `number` points on the surface, stratified by area: the area is divided into `number` equal parts, and
-    /// each part has one random point.
+    /// Samples `number` points on the surface, stratified by area: the area is divided into `number` equal parts, each of
+    /// which gets one random point.
     pub(crate) fn sample(&self, number: usize, seed: u64) -> Result<Self, String> {
         if !(1..=MAX_SAMPLES).contains(&number) {
             return Err(format!("{number} samples; 1 to {MAX_SAMPLES} can be drawn"));
@@ -79,7 +79,7 @@ impl Shape {
         let areas = std::iter::zip(&sums, std::iter::once(&0.0).chain(&sums)).map(|(sum, before)| sum - before);
         let notes = self.dominant_faces(areas.map(|area| area / total).collect()).into_iter().collect();
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        // Rounding can exceed the last sum; then the last triangle with an area is used.
+        // Rounding can exceed the last sum; the last triangle with an area is then used.
         let last = sums.partition_point(|&sum| sum < total);
         let draw = |piece: usize| {
             let place = (piece as f64 + rng.random::<f64>()) / number as f64 * total;
@@ -94,7 +94,7 @@ impl Shape {
         Ok(Self { points, notes, ..Self::default() })
     }
 
-    /// A sentence for the user where a few faces beside a mesh hold most of its surface. `shares` are those of the triangles.
+    /// A sentence for the user if a few faces hold most of a mesh's surface. `shares` are the triangles' shares of the surface.
     fn dominant_faces(&self, shares: Vec<f64>) -> Option<String> {
         let mut order: Vec<usize> = (0..shares.len()).collect();
         order.sort_by(|&a, &b| shares[b].total_cmp(&shares[a]));
@@ -126,8 +126,8 @@ impl From<Vec<Position>> for Shape {
     }
 }
 
-/// Refuses bytes after the last point if they can mean that every point has more bytes than the file says: at least one
-/// for each point, and not all zero.
+/// Refuses bytes after the last point if every point may have more bytes than the file says: at least one byte per
+/// point, and not all zero.
 pub(crate) fn check_left_over(rest: &[u8], num_points: usize) -> Result<(), String> {
     if rest.len() >= num_points && rest.iter().any(|&byte| byte != 0) {
         Err(format!(

@@ -1,4 +1,4 @@
-//! Finds the columns of a table that hold x, y and z: by the names that known programs use, or by the caller's choice.
+//! Finds the columns of a table that hold x, y and z: by names that common programs use, or by the caller's choice.
 
 use std::str::FromStr;
 
@@ -78,14 +78,14 @@ impl Columns {
         self.indices(|name| Err(format!("an array has no column `{}`; choose columns by numbers", excerpt(name, 40))))
     }
 
-    /// Finds the columns of text; `names` is empty without a header. Degrees are refused also if they are chosen.
+    /// Finds the columns of text; `names` is empty without a header. Columns in degrees are refused, even if chosen.
     pub(crate) fn in_text(&self, names: &[String]) -> Result<Indices, String> {
         let [x, y, z] = self.in_header(names)?;
         let is_degrees = |column: usize| names.get(column).is_some_and(|name| DEGREES.contains(&&plain(name)[..]));
         if is_degrees(x) && is_degrees(y) { Err(degrees(names)) } else { Ok([x, y, z]) }
     }
 
-    /// Finds the columns by names or numbers, also those of degrees.
+    /// Finds the columns by names or numbers, including columns in degrees.
     pub(crate) fn in_header(&self, names: &[String]) -> Result<Indices, String> {
         self.indices(|wanted| {
             let is_wanted = |name: &&String| clean(name).eq_ignore_ascii_case(wanted) || plain(name) == plain(wanted);
@@ -104,7 +104,7 @@ impl Columns {
         self.0.iter().all(|column| matches!(column, Column::Index(_)))
     }
 
-    /// Whether columns are chosen by names, and these names are among a header's.
+    /// Whether columns are chosen by names that a header has.
     pub(crate) fn are_named_in(&self, names: &[String]) -> bool {
         !self.are_numbers() && self.in_header(names).is_ok()
     }
@@ -122,7 +122,7 @@ impl Columns {
     }
 }
 
-/// The columns of x, y and z by a header's names: the first set whose names each occur exactly once.
+/// The columns of x, y and z in a header: the first known set whose names each occur exactly once.
 pub(crate) fn known(names: &[String]) -> Option<Indices> {
     let plain: Vec<String> = names.iter().map(|name| plain(name)).collect();
     let count = |name: &str| plain.iter().filter(|known| *known == name).count();

@@ -1,4 +1,4 @@
-//! Reasons to refuse rows of text that can be read in two ways, and words for rows that cannot be read at all.
+//! Reasons to refuse rows of text that can be read in two ways, and explanations for rows that cannot be read at all.
 
 use crate::table::shape::Position;
 use crate::text::commas::{COMMAS, commas};
@@ -7,13 +7,13 @@ use crate::text::number::number;
 use crate::text::separator::Separator;
 use snake_geometry::excerpt;
 
-/// The fewest rows whose first column can show that it is an index or a time.
+/// Minimum number of rows whose first column can be recognised as an index or a time.
 const MIN_ROWS: usize = 5;
 
-/// Larger first columns that only rise are times: seconds since 1970 are above 1e9, coordinates are below 1e8.
+/// First columns that only rise and begin above this are times: seconds since 1970 exceed 1e9, coordinates are below 1e8.
 const MIN_TIME: f64 = 1e8;
 
-/// Refuses rows of four columns or more, without a header, whose first column rises in equal steps or holds times.
+/// Refuses rows of four or more columns, without a header, whose first column rises in equal steps or holds times.
 pub(crate) fn check_first_column(points: &[Position], line: usize) -> Result<(), String> {
     let steps = || points.windows(2).map(|pair| pair[1][0] - pair[0][0]);
     let [first, .., last] = points else { return Ok(()) };
@@ -36,7 +36,7 @@ pub(crate) struct DecimalCommas {
     is_excluded: bool,
     /// Whether a second, fourth or sixth column begins with 0, as no integer does.
     has_leading_zero: bool,
-    /// The number of digits in the second, fourth and sixth columns, while it is the same.
+    /// The number of digits in the second, fourth and sixth columns, as long as it is the same.
     digits: Option<Option<usize>>,
 }
 
@@ -70,7 +70,7 @@ impl DecimalCommas {
     }
 }
 
-/// The fault of a row without three coordinates, and the way out. `names` are those of the header.
+/// What is wrong with a row without three coordinates, and what to do. `names` are the header's names.
 pub(crate) fn explain(row: &str, names: &[String], separator: Separator) -> String {
     let fields: Vec<&str> = separator.fields(row).collect();
     let first = fields.first().copied().unwrap_or_default();
@@ -98,7 +98,7 @@ pub(crate) fn explain(row: &str, names: &[String], separator: Separator) -> Stri
     }
 }
 
-/// The error for words above the first row that are too few to be the names of its columns.
+/// The error for words above the first row if they are too few to name its columns.
 pub(crate) fn no_header(words: &[String], row: &str) -> String {
     let fields: Vec<&str> = Separator::of(row, b";,|").fields(row).collect();
     let shown = excerpt(&words.join(" "), 40);
@@ -112,12 +112,12 @@ pub(crate) fn no_header(words: &[String], row: &str) -> String {
     }
 }
 
-/// The place of the first three columns in a row that hold numbers.
+/// The index of the first three consecutive columns of a row that hold numbers.
 fn first_numbers(fields: &[&str]) -> Option<usize> {
     fields.windows(3).position(|three| three.iter().all(|field| number(field).is_some()))
 }
 
-/// The option for three columns from this place, counted from 0.
+/// The option that chooses three columns from this index, counted from 0.
 fn choice(start: usize) -> String {
     format!("`columns` {},{},{}", start + 1, start + 2, start + 3)
 }

@@ -31,7 +31,7 @@ pub(crate) fn is_comment(line: &[u8]) -> bool {
 pub(crate) struct Header {
     pub(crate) names: Vec<String>,
     pub(crate) separator: Separator,
-    /// Whether any number of columns without names may follow, as after `TRACK[]` of COLMAP.
+    /// Whether any number of unnamed columns may follow, as after `TRACK[]` of COLMAP.
     pub(crate) is_open: bool,
     /// Whether white space precedes the first name.
     is_indented: bool,
@@ -54,7 +54,7 @@ impl Header {
         (has_names && !names.is_empty()).then_some(Self { names, separator, is_open: list.is_some(), is_indented })
     }
 
-    /// Whether the names say where the coordinates are.
+    /// Whether the names tell where the coordinates are.
     pub(crate) fn tells(&self, columns: Option<&Columns>) -> bool {
         columns::known(&self.names).is_some() || columns.is_some_and(|columns| columns.are_named_in(&self.names))
     }
@@ -67,7 +67,7 @@ impl Header {
     /// The last comment that names the columns of the first row. It must have as many names as the row has columns. It
     /// must also contain three chosen or known names, or use the row's semicolons or commas as separators.
     ///
-    /// A comment with known names at other places than the first three columns is refused if their number does not fit.
+    /// A comment with known names beyond the first three columns is refused if their number does not fit.
     pub(crate) fn among(comments: &[&[u8]], row: &str, columns: Option<&Columns>) -> Result<Option<Self>, String> {
         let separator = Separator::of(row, b";,|");
         let width = separator.fields(row).count();
@@ -97,7 +97,7 @@ impl Header {
         }
     }
 
-    /// The names in a comment, below its marks and after the colon of `columns: x y z`.
+    /// The names in a comment, after its marks and after the colon of `columns: x y z`.
     fn from_comment(comment: &str) -> Option<Self> {
         let text = comment.trim_start_matches(COMMENT_MARKS).trim();
         Self::of(text.rsplit_once(": ").map_or(text, |(_, names)| names))

@@ -19,7 +19,7 @@ pub(crate) struct Lines<'a> {
     ends: Ends,
 }
 
-/// The line ends of a text. The first one decides, because binary data after a header may begin with any byte.
+/// The line ends of a text. The first line end decides, because binary data after a header may begin with any byte.
 #[derive(Clone, Copy, PartialEq)]
 enum Ends {
     /// LF, CR LF or CR.
@@ -101,8 +101,8 @@ fn is_utf_16(bytes: &[u8]) -> bool {
     matches!(bytes, [0xff, 0xfe, ..] | [0xfe, 0xff, ..]) || first.is_some_and(|pairs| pairs.iter().all(is_character))
 }
 
-/// A line as text. Bytes that are not UTF-8 are taken for Latin-1. Spaces and minus signs outside ASCII become those of
-/// ASCII.
+/// A line as text. Bytes that are not UTF-8 are read as Latin-1. Spaces and minus signs outside ASCII become their
+/// ASCII forms.
 #[inline]
 pub(crate) fn text(line: &[u8]) -> Cow<'_, str> {
     let plain = |c: char| match c {
@@ -118,7 +118,7 @@ pub(crate) fn text(line: &[u8]) -> Cow<'_, str> {
     }
 }
 
-/// A line of a mesh without the comment after `#`, which is not the one of `1.#IND`.
+/// A line of a mesh without the comment after `#`. The `#` of `1.#IND` does not begin a comment.
 pub(crate) fn without_comment(line: &str) -> &str {
     let begins = |&(place, _): &(usize, &str)| !line[..place].ends_with('.');
     line.match_indices('#').find(begins).map_or(line, |(place, _)| &line[..place]).trim()

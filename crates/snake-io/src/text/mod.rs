@@ -21,11 +21,11 @@ use crate::text::number::{cell, number};
 use crate::text::separator::{Separator, without_brackets};
 use snake_geometry::{RigidTransform, excerpt};
 
-/// The greatest number of lines of titles above a header.
+/// Maximum number of title lines above a header.
 const MAX_TITLE_LINES: usize = 20;
 
-/// Reads one point per line: x, y, z in the chosen columns, else in the columns that a header names, else in the first
-/// three. A first line with a single integer is the number of points.
+/// Reads one point per line: x, y, z from the chosen columns, else from the columns that a header names, else from the
+/// first three. A first line with a single integer is the number of points.
 ///
 /// The separator is chosen line by line: semicolons, else commas, else bars, else white space; below a header with tabs
 /// it is the tab. Separators within double quotes and brackets around a row are ignored. Blank lines and comments are
@@ -36,7 +36,7 @@ pub(crate) fn read(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, Str
     Text::open(bytes, columns, false)?.positions(columns)
 }
 
-/// Reads the same columns from a file that may hold several scans, with a line with its number of points above each.
+/// Reads the same columns from a file that may hold several scans, each below a line with its number of points.
 pub(crate) fn read_counted(bytes: &[u8], columns: Option<&Columns>) -> Result<Shape, String> {
     Text::open(bytes, columns, true)?.positions(columns)
 }
@@ -67,14 +67,14 @@ pub(crate) fn write_rows(out: &mut dyn Write, transform: &RigidTransform) -> io:
     Ok(())
 }
 
-/// A text whose lines above the points are read.
+/// A text whose lines above the points have been read.
 struct Text<'a> {
     bytes: &'a [u8],
-    /// The lines from the first row on, and its number.
+    /// The lines from the first row on; `first_line` is the number of that line.
     lines: Lines<'a>,
     first_line: usize,
     blocks: Blocks,
-    /// The layout of the rows, if there are any; else the header.
+    /// The layout of the rows, if there are rows; `header` is set otherwise.
     layout: Option<Layout>,
     header: Option<Header>,
 }
@@ -85,7 +85,7 @@ impl<'a> Text<'a> {
         let mut lines = Lines::from_text(bytes)?;
         let mut blocks = Blocks { in_blocks, ..Blocks::default() };
         let (mut header, mut comments, mut words) = (None, Vec::new(), Vec::new());
-        // The first row of three numbers, or the first below a header that tells where they are.
+        // The first row with three numbers, or the first row below a header that tells where they are.
         let mut first = loop {
             let from_here = lines.clone();
             let Some((number, line)) = lines.next() else { break None };
@@ -109,7 +109,7 @@ impl<'a> Text<'a> {
                 named => words.push((from_here, named, blocks_above)),
             }
         };
-        // The words above a header that tells are titles. Without one they are at most one line of names.
+        // Words above a header that tells the columns are titles. Without such a header, they are at most one line of names.
         if header.is_none() {
             let mut words = words.into_iter().peekable();
             header = words.next_if(|(_, named, _)| named.is_some()).and_then(|(_, named, _)| named);
@@ -132,7 +132,7 @@ impl<'a> Text<'a> {
         }
     }
 
-    /// The points in the chosen columns, else in the known ones.
+    /// The points in the chosen columns, or in the known ones.
     fn positions(&self, columns: Option<&Columns>) -> Result<Shape, String> {
         let mut points = Vec::new();
         let Some(layout) = &self.layout else { return Ok(points.into()) };
@@ -177,12 +177,12 @@ impl<'a> Text<'a> {
     }
 }
 
-/// Lines with numbers of points, above all points or above each scan.
+/// Lines with a number of points, above all points or above each scan.
 #[derive(Clone, Copy, Default)]
 struct Blocks {
     /// Whether each scan may have such a line.
     in_blocks: bool,
-    /// The number of the last such line and the number of points that it promises.
+    /// The line number of the last such line, and the number of points that it promises.
     promised: Option<(usize, u64)>,
     /// The number of points above that line.
     above: usize,
@@ -226,12 +226,12 @@ struct Layout {
     separator: Separator,
     /// The number of columns in the header, or without one in the first row.
     width: usize,
-    /// The number of columns before the first one of the first row that is no number.
+    /// The number of leading columns of the first row that are numbers.
     num_numbers: usize,
 }
 
 impl Layout {
-    /// The layout of the first row by the header, else by the comments above it.
+    /// The layout of the first row, from the header or else from the comments above it.
     fn of(row: &str, header: Option<Header>, comments: &[&[u8]], columns: Option<&Columns>) -> Result<Self, String> {
         let mut header = match header {
             None => Header::among(comments, row, columns)?,
@@ -272,7 +272,7 @@ impl Layout {
         }
     }
 
-    /// Reads the numbers of a row in these columns. `separator` is that of the row before.
+    /// Reads the numbers of a row in these columns. `separator` is the separator of the previous row.
     fn read(
         &self,
         number: usize,
@@ -299,7 +299,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Refuses a row whose number of columns shows that its columns are not those of the header or of the first row.
+    /// Refuses a row whose number of columns shows that they are not the columns of the header or of the first row.
     fn check_width(&self, row: &str, separator: Separator, width: usize) -> Result<(), String> {
         let Some(header) = &self.header else {
             let numbers = leading_numbers(row, separator);
@@ -341,7 +341,7 @@ fn has_three_numbers(row: &str) -> bool {
     Separator::of(row, b";,|").fields(row).filter_map(number).nth(2).is_some()
 }
 
-/// The number of columns before the first one that is no number.
+/// The number of leading columns that are numbers.
 fn leading_numbers(row: &str, separator: Separator) -> usize {
     separator.fields(row).take_while(|field| number(field).is_some()).count()
 }

@@ -7,7 +7,7 @@ pub(crate) fn number(word: &str) -> Option<f64> {
     word.parse().ok().or_else(|| unusual(word))
 }
 
-/// A number, or NaN where a cell of a table says that there is none.
+/// A number, or NaN for a cell that marks a missing value.
 #[inline]
 pub(crate) fn cell(word: &str) -> Option<f64> {
     number(word).or_else(|| is_missing(word).then_some(f64::NAN))
@@ -31,7 +31,7 @@ fn unusual(word: &str) -> Option<f64> {
     (lower.contains('d') && lower.bytes().all(is_decimal)).then(|| word.replace(['d', 'D'], "e").parse().ok())?
 }
 
-/// Whether a cell is empty or holds a mark for a missing value: of databases, statistics programs or spreadsheets.
+/// Whether a cell is empty or holds the mark of databases, statistics programs or spreadsheets for a missing value.
 fn is_missing(word: &str) -> bool {
     const MARKS: [&str; 12] = ["", "-", "--", ".", "?", "na", "n/a", "n.a.", "<na>", "null", "none", "nil"];
     MARKS.iter().any(|mark| word.eq_ignore_ascii_case(mark)) || is_spreadsheet_error(word)

@@ -7,8 +7,8 @@ use serde_json::{Number, Value, json};
 use crate::write::keypoint_source::KeypointSource;
 use snake_geometry::{Keypoint, add_origin};
 
-/// One keypoint as an object with the keys x, y, z, saliency, occupancy, nearest_index, confidence, which is `null` without a map,
-/// and covariance.
+/// One keypoint as an object with the keys x, y, z, saliency, occupancy, nearest_index, confidence
+/// and covariance. Without a map of confidences, the confidence is `null`.
 ///
 /// The origin is added to the position. A number that is not finite is written as `null`.
 pub fn keypoint_json(keypoint: &Keypoint, origin: [f64; 3]) -> Value {
@@ -32,8 +32,8 @@ pub(crate) fn write(out: &mut dyn Write, keypoints: &[Keypoint], origin: [f64; 3
     writeln!(out)
 }
 
-/// Writes a KeypointNet annotation file with one shape. Each keypoint has its position and the index of its nearest
-/// point. Its rank by falling saliency takes the place of KeypointNet's `semantic_id`.
+/// Writes a KeypointNet annotation file with one shape. Each keypoint has its position, its saliency and the index of its nearest
+/// point. Its rank replaces KeypointNet's `semantic_id`.
 pub(crate) fn write_keypointnet(
     out: &mut dyn Write,
     keypoints: &[Keypoint],
@@ -62,7 +62,7 @@ fn position(keypoint: &Keypoint, origin: [f64; 3]) -> [Option<Number>; 3] {
     }
 }
 
-/// Converts through the shortest decimal form: JSON numbers are `f64`, and 0.1 must not read 0.10000000149011612.
+/// Converts a number through its shortest decimal form: JSON numbers are `f64`, and 0.1 must not become 0.10000000149011612.
 fn number(value: f32) -> Option<Number> {
     value.to_string().parse().ok().and_then(Number::from_f64)
 }

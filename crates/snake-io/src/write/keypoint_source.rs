@@ -13,7 +13,7 @@ pub struct KeypointSource {
     pub class_id: String,
     /// Name of the shape, for KeypointNet annotations.
     pub model_id: String,
-    /// The coordinate reference system, which LAZ files state.
+    /// The coordinate reference system, which is written to LAZ files.
     pub crs: Option<Crs>,
 }
 

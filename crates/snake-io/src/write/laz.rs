@@ -1,5 +1,5 @@
-//! Writes keypoints as LAZ 1.4 of point format 0, with saliency, occupancy, nearest_index and confidence as extra dimensions, which PDAL
-//! does not look for in earlier versions.
+//! Writes keypoints as LAZ 1.4 of point format 0. The extra dimensions are saliency, occupancy, nearest_index and confidence; PDAL
+//! does not look for extra dimensions in earlier versions.
 
 use std::io::{self, Cursor, Write};
 
@@ -20,8 +20,8 @@ const EXTRA: u16 = 20;
 /// The extra dimensions with their types: 9 is `f32`, 7 is `u64`.
 const DIMENSIONS: [(&str, u8); 4] = [("saliency", 9), ("occupancy", 9), ("nearest_index", 7), ("confidence", 9)];
 
-/// Writes keypoints. Coordinates are rounded to a power of ten that divides the extent into at least 200 million parts, the
-/// intensity is the saliency, and the coordinate reference system is given by its EPSG code.
+/// Writes keypoints. Coordinates are rounded to a power of ten that divides the extent into at least 200 million parts. The
+/// intensity is the saliency, and the EPSG code gives the coordinate reference system.
 pub(crate) fn write(out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
     let mut bounds = Bounds::default();
     keypoints.iter().for_each(|keypoint| bounds.add(add_origin(keypoint.position, source.origin)));

@@ -69,7 +69,7 @@ type MeshWriter = fn(&mut dyn Write, &Mesh, [f64; 3]) -> io::Result<()>;
 
 /// Writes a mesh and adds the origin to its vertices if [`adds_origin`](crate::adds_origin).
 ///
-/// `ply` and `obj` hold vertices, normals and triangles; `stl` holds triangles alone. The file is written whole or not
+/// `ply` and `obj` hold vertices, normals and triangles; `stl` holds only triangles. The file is written whole or not
 /// at all, as by [`write_keypoints`](crate::write_keypoints).
 ///
 /// # Errors
@@ -80,7 +80,7 @@ pub fn write_mesh(path: &Path, mesh: &Mesh, origin: [f64; 3]) -> Result<()> {
     write_atomically(path, |file| write(file, mesh, origin)).map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Refuses a path whose extension [`write_mesh`] would refuse, so that a caller can check it before any work is done.
+/// Refuses a path whose extension [`write_mesh`] would refuse, so that a caller can check it before any work.
 ///
 /// # Errors
 /// [`Error::Format`] when the extension is not among [`MESH_EXTENSIONS`].

@@ -21,7 +21,7 @@ impl KeypointFormat {
     /// Writes keypoints and adds the origin, except in PCD, whose coordinates have four bytes.
     ///
     /// # Errors
-    /// The errors of `out`; for PLY and PCD also an index that does not fit into their integers.
+    /// The errors of `out`; for PLY and PCD, also an index that does not fit into their integers.
     pub fn write(self, out: &mut dyn Write, keypoints: &[Keypoint], source: &KeypointSource) -> io::Result<()> {
         let (origin, colors) = match self {
             Self::Ply => (Some(source.origin), &COLORS[..]),
@@ -57,7 +57,7 @@ impl KeypointFormat {
 
 impl CloudFormat {
     /// Writes points `(N, 3)` with their attributes and adds the origin, except in PCD, whose coordinates have four bytes. NPY
-    /// and text without a header hold coordinates only.
+    /// and text without a header hold only coordinates.
     ///
     /// # Errors
     /// The errors of `out`.
@@ -110,7 +110,7 @@ const COLORS: [Column; 3] = [("red", Scalar::BYTE), ("green", Scalar::BYTE), ("b
 /// A colour in the bits of a float.
 const PACKED: [Column; 1] = [("rgb", Scalar::FLOAT)];
 
-/// A colour in these columns, [`COLORS`], [`PACKED`] or none.
+/// The values of a colour in these columns: [`COLORS`], [`PACKED`] or none.
 fn color_values(columns: &[Column], color: [u8; 3]) -> Vec<f64> {
     match columns.len() {
         0 => Vec::new(),
@@ -129,7 +129,7 @@ fn packed([red, green, blue]: [u8; 3]) -> f64 {
     f32::from_bits(u32::from_be_bytes([0, red, green, blue])).into()
 }
 
-/// The columns of the coordinates. Coordinates with an origin need eight bytes.
+/// The columns of the coordinates. They have eight bytes if there is an origin.
 pub(crate) fn axes(origin: [f64; 3]) -> [Column; 3] {
     let scalar = if origin == [0.0; 3] { Scalar::FLOAT } else { Scalar::DOUBLE };
     ["x", "y", "z"].map(|axis| (axis, scalar))
@@ -160,12 +160,12 @@ pub fn write_keypoints(path: &Path, keypoints: &[Keypoint], source: &KeypointSou
         .map_err(|source| Error::Io { path: path.into(), source })
 }
 
-/// Whether the writers add the origin to the coordinates in this file; otherwise these stay relative to the origin.
+/// Whether the writers add the origin to the coordinates in this file. Otherwise, these stay relative to the origin.
 pub fn adds_origin(path: &Path) -> bool {
     !matches!(extension(path).as_str(), "pcd" | "stl")
 }
 
-/// A sentence for a user where coordinates are written relative to an origin.
+/// A sentence for the user if coordinates are written relative to an origin.
 pub fn origin_note(adds_origin: bool, [x, y, z]: [f64; 3]) -> Option<String> {
     (!adds_origin && [x, y, z] != [0.0; 3]).then(|| {
         format!(
@@ -185,10 +185,10 @@ pub fn write_points(path: &Path, points: &[Point], origin: [f64; 3]) -> Result<(
     write_cloud(path, points, &Attributes::default(), origin)
 }
 
-/// [`write_points`] with the attributes of the points. PLY, PCD and CSV hold them; other formats hold coordinates only.
+/// [`write_points`] with the attributes of the points. PLY, PCD and CSV hold them; other formats hold only coordinates.
 ///
 /// # Errors
-/// As [`write_points`]; [`Error::Input`] when an attribute has another number of values than there are points.
+/// The errors of [`write_points`]; [`Error::Input`] when the number of an attribute's values is not the number of points.
 pub fn write_cloud(path: &Path, points: &[Point], attributes: &Attributes, origin: [f64; 3]) -> Result<()> {
     let format = CloudFormat::from_path(path)?;
     if let Some(number) = attributes.numbers().find(|number| *number != points.len()) {

@@ -39,7 +39,7 @@ pub(crate) fn write_header<const N: usize>(mut out: &mut dyn Write, elements: [&
     Writer::<Row>::new().write_header(&mut out, &header).map(drop)
 }
 
-/// A row for the writer, which asks for its numbers by the names of their columns.
+/// A row for the writer, which requests its numbers by the names of their columns.
 #[derive(Default)]
 pub(crate) struct Row<'a> {
     pub(crate) columns: &'a [Column],

@@ -28,8 +28,8 @@ impl<C: AsRef<[Column]>, R: Iterator<Item: AsRef<[f64]>>> Rows<C, R> {
         Ok(())
     }
 
-    /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is one; the position of the
-    /// sensor is relative to it, as the points are.
+    /// Writes a binary unorganised cloud. A comment states the origin of its points, if there is
+    /// one. The position of the sensor is relative to this origin, as the points are.
     pub(crate) fn write_pcd(
         self,
         out: &mut dyn Write,
@@ -65,14 +65,14 @@ impl<C: AsRef<[Column]>, R: Iterator<Item: AsRef<[f64]>>> Rows<C, R> {
         Ok(())
     }
 
-    /// Writes a line with the names and a line for each row.
+    /// Writes a line with the names and then one line per row.
     pub(crate) fn write_csv(self, out: &mut dyn Write) -> io::Result<()> {
         let names: Vec<&str> = self.columns.as_ref().iter().map(|(name, _)| *name).collect();
         writeln!(out, "{}", names.join(","))?;
         self.write_lines(out, ",")
     }
 
-    /// Writes a line for each row, every number in its shortest exact form.
+    /// Writes one line per row, with every number in its shortest exact form.
     pub(crate) fn write_lines(self, out: &mut dyn Write, separator: &str) -> io::Result<()> {
         for row in self.rows {
             for (column, ((_, scalar), value)) in self.columns.as_ref().iter().zip(row.as_ref()).enumerate() {

@@ -18,12 +18,12 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 /// The data of a document.
 pub(super) struct Data<'a> {
     document: &'a Document,
-    /// The bytes of each buffer, or why they cannot be read, which matters if a vertex is in it.
+    /// The bytes of each buffer, or the reason why they cannot be read. The reason matters only if a vertex is in it.
     buffers: Vec<Result<Cow<'a, [u8]>, String>>,
 }
 
 impl<'a> Data<'a> {
-    /// `binary` is the data of the first buffer in a binary file.
+    /// `binary` is the data of the first buffer of a binary file.
     pub(super) fn new(document: &'a Document, binary: Option<&'a [u8]>) -> Self {
         let buffer = |index: usize| match (&document.buffers[index].uri, binary) {
             (Some(uri), _) => embedded(uri).map(Cow::Owned),
@@ -96,7 +96,7 @@ impl<'a> Data<'a> {
     }
 }
 
-/// A number; a normalised integer is between -1 and 1.
+/// The value of a number. A normalised integer is mapped to -1 to 1.
 fn number(accessor: &Accessor, bytes: &[u8]) -> f64 {
     let (value, most) = match (accessor.component_type, bytes) {
         (5120, &[a]) => (f64::from(a as i8), 127.0),
@@ -109,7 +109,7 @@ fn number(accessor: &Accessor, bytes: &[u8]) -> f64 {
     if accessor.normalized { (value / most).max(-1.0) } else { value }
 }
 
-/// The bytes of a data URI. Buffers in files of their own are not read.
+/// The bytes of a data URI. Buffers in separate files are not read.
 fn embedded(uri: &str) -> Result<Vec<u8>, String> {
     let Some((_, data)) = uri.strip_prefix("data:").and_then(|rest| rest.split_once(";base64,")) else {
         let name = excerpt(uri, 60);

@@ -1,11 +1,11 @@
-//! The parts of a glTF document that place vertices. Materials, textures and everything else are not looked at.
+//! The parts of a glTF document that place vertices. Materials, textures and other parts are not read.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 use snake_geometry::excerpt;
 
-/// A document. Its parts name each other by index.
+/// A document. Its parts refer to each other by index.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Document {
@@ -61,7 +61,7 @@ pub(super) struct NodeExtensions {
     pub(super) instances: Option<Instances>,
 }
 
-/// Copies of a node's mesh: accessors of `TRANSLATION`, `ROTATION` and `SCALE`.
+/// Instances of a node's mesh: accessors of `TRANSLATION`, `ROTATION` and `SCALE`.
 #[derive(Deserialize)]
 pub(super) struct Instances {
     pub(super) attributes: BTreeMap<String, usize>,
@@ -112,7 +112,7 @@ pub(super) struct Buffer {
 /// Extensions that this reader implements.
 const READ: [&str; 2] = ["EXT_mesh_gpu_instancing", "KHR_mesh_quantization"];
 
-/// Words in the names of extensions that change what a surface looks like and not where it is.
+/// Words in the names of extensions that change the appearance of a surface but not its position.
 const APPEARANCE: [&str; 12] = [
     "material",
     "texture",
@@ -128,7 +128,7 @@ const APPEARANCE: [&str; 12] = [
     "webgl",
 ];
 
-/// The extensions that compress vertices.
+/// Extensions that compress vertices.
 const COMPRESSIONS: [&str; 3] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 impl Document {
@@ -147,7 +147,7 @@ impl Document {
 
     /// Refuses extensions that may move vertices.
     fn check_extensions(&self) -> Result<(), String> {
-        // It moves every vertex, also where the file does not require it.
+        // This extension moves every vertex, even if the file does not require it.
         if self.extensions_used.iter().chain(&self.extensions_required).any(|name| name == "CESIUM_RTC") {
             return Err(
                 "its vertices are relative to the centre in its extension CESIUM_RTC, which is not read; give the \
@@ -170,7 +170,7 @@ impl Document {
         }
     }
 
-    /// The reason for data that is not there.
+    /// The error for missing data.
     pub(super) fn without_data(&self, what: &str) -> String {
         match self.extensions_used.iter().find(|name| COMPRESSIONS.contains(&name.as_str())) {
             Some(name) => compressed(name),
