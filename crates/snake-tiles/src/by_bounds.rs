@@ -1,4 +1,4 @@
-//! Runs that read their points by bounds from COPC files, instead of a copy that is sorted into tiles.
+//! Runs that read their points from COPC files by bounds, instead of from a copy that is sorted into tiles.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -13,16 +13,16 @@ use crate::folder::{PLAN, RunFolder};
 use crate::plan::{Plan, Source, Tile, place, version};
 use crate::run::{Extent, TiledRun, choose_voxel_size, columns_of, widen};
 
-/// A rectangle without an end.
+/// An unbounded rectangle.
 const EVERYWHERE: [[f64; 2]; 2] = [[f64::NEG_INFINITY; 2], [f64::INFINITY; 2]];
 
 impl TiledRun {
-    /// As [`TiledRun::prepare`], of COPC files that make up one cloud, also behind a server. Only their octrees are read, so
-    /// that [`Tile::num_points`] is an estimate, and a tile may be empty. Each tile reads its points from the files by bounds. A
-    /// voxel size that is to be chosen and lengths in `r` need all points, which are then read here.
+    /// [`TiledRun::prepare`] for COPC files that make up one cloud and may be behind a server. It reads only their
+    /// octrees. So [`Tile::num_points`] is an estimate, and a tile may be empty. Each tile reads its points from the
+    /// files by bounds. All points are read here only if the voxel size has to be chosen or if lengths are in `r`.
     ///
     /// # Errors
-    /// As [`TiledRun::prepare`].
+    /// The errors of [`TiledRun::prepare`].
     pub fn prepare_copc(mut detector: TileDetector, files: Vec<Copc>, side: f64, folder: &Path) -> Result<Self> {
         choose_voxel_size(&mut detector, &mut |found| {
             files.iter().try_for_each(|file| Ok(file.for_each_position_in(EVERYWHERE, &mut |_, at| found(at))?))
@@ -53,10 +53,10 @@ impl TiledRun {
         })
     }
 
-    /// As [`TiledRun::open`], of a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
+    /// [`TiledRun::open`] for a run of [`TiledRun::prepare_copc`] whose files are not on a disk that all machines see.
     ///
     /// # Errors
-    /// As [`TiledRun::open`], also when a file has changed.
+    /// The errors of [`TiledRun::open`]; also when a file has changed.
     pub fn open_copc(detector: TileDetector, files: Vec<Copc>, folder: &Path) -> Result<Self> {
         let folder = RunFolder::open(folder)?;
         let plan = Plan::open(&folder, &detector.settings())?;
@@ -64,9 +64,9 @@ impl TiledRun {
         Self::placed(&detector, plan, folder, files)
     }
 
-    /// Calls `found` with all points in a rectangle of columns, and with others, and their indices in the cloud.
+    /// Calls `found` with all points in a rectangle of columns and their indices in the cloud; also with some points outside.
     pub(crate) fn for_each_near(&self, columns: &[Range<i32>; 2], found: &mut dyn FnMut(Point, u64)) -> Result<()> {
-        // The columns are found in the narrower numbers of the points: one more has those at the border.
+        // Columns are computed from points in f32. Reading one column more includes the points at the border.
         let [low, high] = self.corners(&widen(columns, 1));
         let mut first = 0;
         for file in &self.copc {
@@ -79,7 +79,7 @@ impl TiledRun {
     }
 }
 
-/// The tiles that may have points, by place.
+/// The tiles that may have points, ordered by place.
 fn tiles(detector: &PlacedDetector, plan: &Plan, files: &[Copc], bounds: &Bounds) -> Result<Vec<Tile>> {
     let column = |corner| detector.column(&subtract_origin(corner, plan.origin));
     let (low, high) = (column(bounds.low)?, column(bounds.high)?);
@@ -92,7 +92,7 @@ fn tiles(detector: &PlacedDetector, plan: &Plan, files: &[Copc], bounds: &Bounds
         let corner = |of: [f64; 3]| column(std::array::from_fn(|axis| at(of, axis)));
         let [low, high] = [corner(node.low)?, corner(node.high)?].map(|column| plan.place(column));
         let share = num_points as f64 / number(low, high) as f64;
-        // A point may lie two steps of the coordinates outside of its node, in the next tile.
+        // A point may lie two coordinate steps outside its node, in the next tile.
         for x in low[0] - 1..=high[0] + 1 {
             for y in low[1] - 1..=high[1] + 1 {
                 let is_inside = (low[0]..=high[0]).contains(&x) && (low[1]..=high[1]).contains(&y);
@@ -100,7 +100,7 @@ fn tiles(detector: &PlacedDetector, plan: &Plan, files: &[Copc], bounds: &Bounds
             }
         }
     }
-    // One column more, for the same reason.
+    // One additional column, for the same reason.
     let (low, high) = ([low[0] - 1, low[1] - 1], [high[0] + 1, high[1] + 1]);
     let side = plan.source.columns;
     let [first, last] = [low, high].map(|columns| place(side, columns));

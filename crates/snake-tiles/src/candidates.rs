@@ -12,12 +12,12 @@ use crate::{Error, Result};
 /// A summary of a tile's candidates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Summary {
-    /// The lowest and the highest x and y; `None` without candidates.
+    /// The lowest and the highest x and y; `None` if there are no candidates.
     pub(crate) bounds: Option<[[f32; 2]; 2]>,
     pub(crate) counts: Counts,
 }
 
-/// The name of the file of the tile at a place.
+/// The file name for the tile at a place.
 pub(crate) fn name([x, y]: [i32; 2]) -> String {
     format!("candidates/{x}_{y}.safetensors")
 }

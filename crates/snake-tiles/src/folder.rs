@@ -1,8 +1,8 @@
-//! The folder of a run: it is new, or carries the run's id. A file there is whole or not there, and what is there is not made again.
+//! The folder of a run. It is new or carries the run's id. A file in it is either complete or missing, and is not written again.
 //!
-//! No lock is needed. A folder refuses every other run, and the id stands for all that decides the bytes of a file: two
-//! processes in one folder write the same bytes. A file of results is renamed into its place once it is whole. Points go to the
-//! same places of the same files, and count once the plan is there.
+//! No lock is needed. A folder refuses every other run, and the id covers everything that determines the bytes of a file, so two
+//! processes in one folder write the same bytes. A file of results is renamed to its final name once it is complete. Points are
+//! written to the same positions of the same files, and count once the plan exists.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -12,16 +12,16 @@ use snake_io::{TEMPORARY, write_atomically};
 
 use crate::{Error, Result};
 
-/// The marker's name begins with this and ends with the run's id: a name comes into being at once, a content does not.
+/// The marker's name begins with this and ends with the run's id. A name is created atomically, a content is not.
 const MARKER: &str = "snake-tiles.";
 
-/// The content of the marker when the run made the folder, which then goes with the run.
+/// The content of the marker if the run created the folder, which is then removed with the run.
 const MADE: &[u8] = b"the run made this folder";
 
 /// The name of the plan in the folder.
 pub(crate) const PLAN: &str = "plan.json";
 
-/// The folders of the other files.
+/// The subfolders of the other files.
 const PARTS: [&str; 2] = ["points", "candidates"];
 
 /// The folder of a run.
@@ -32,14 +32,14 @@ pub(crate) struct RunFolder {
 }
 
 impl RunFolder {
-    /// A folder for the run of this id; one with another run, or with files that no run wrote, is refused. Nothing is written
+    /// A folder for the run of this id. A folder with another run, or with files that no run wrote, is refused. Nothing is written
     /// before [`RunFolder::mark`].
     pub(crate) fn new(path: &Path, id: String) -> Result<Self> {
         let folder = Self { path: std::path::absolute(path).map_err(Error::file(path))?, id };
         folder.refuse_others().map(|_| folder)
     }
 
-    /// The folder of a run that began there.
+    /// The folder of a run that already began there.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let path = std::path::absolute(path).map_err(Error::file(path))?;
         match names(&path)?.iter().find_map(|name| name.strip_prefix(MARKER)) {
@@ -48,14 +48,14 @@ impl RunFolder {
         }
     }
 
-    /// Makes the folder if it is not there, and marks it.
+    /// Creates the folder if it does not exist, and marks it.
     pub(crate) fn mark(&self) -> Result<()> {
         if self.refuse_others()? {
             return Ok(());
         }
         let (marker, content) = (self.marker(), if self.path.exists() { b"" } else { MADE });
         fs::create_dir_all(&self.path).and_then(|()| fs::write(&marker, content)).map_err(Error::file(&marker))?;
-        // At least one of two runs that begin in a new folder at once sees the other's marker.
+        // If two runs begin in a new folder at once, at least one of them sees the other's marker.
         self.refuse_others().map(drop).inspect_err(|_| drop(fs::remove_file(&marker)))
     }
 
@@ -63,7 +63,7 @@ impl RunFolder {
         self.path.join(format!("{MARKER}{}", self.id))
     }
 
-    /// Refuses the run of another id, and files without a run. Returns whether the folder is marked.
+    /// Refuses the run of another id, and files without a run. Returns whether the folder is already marked.
     fn refuse_others(&self) -> Result<bool> {
         let (mut is_marked, mut other) = (false, None);
         for name in names(&self.path)? {
@@ -80,39 +80,39 @@ impl RunFolder {
         }
     }
 
-    /// Refuses to go on once another process has removed the run: it removes the plan first.
+    /// Refuses to continue after another process has removed the run, which removes the plan first.
     pub(crate) fn check(&self) -> Result<()> {
         if self.has(PLAN) { Ok(()) } else { Err(Error::removed(&self.path)) }
     }
 
-    /// The path of a file of the run; a link in its place is refused: it would lead out of the folder.
+    /// The path of a file of the run. A link in its place is refused, because it would lead out of the folder.
     fn own(&self, name: &str) -> Result<PathBuf> {
         let path = self.path.join(name);
         let is_linked = path.ancestors().take_while(|path| *path != self.path).any(Path::is_symlink);
         if is_linked { Err(Error::not_own(&self.path, name)) } else { Ok(path) }
     }
 
-    /// As [`RunFolder::own`], of a file to write: the folder of `points` or `candidates` is there.
+    /// [`RunFolder::own`] for a file to write; creates the folder of `points` or `candidates`.
     pub(crate) fn to_write(&self, name: &str) -> Result<PathBuf> {
         let path = self.own(name)?;
-        // What cannot be made is found missing when the file is written.
+        // If the folder cannot be created, writing the file fails.
         let _is_there = path.parent().map(fs::create_dir);
         Ok(path)
     }
 
-    /// Whether a file is there, and with that whole.
+    /// Whether a file exists; it is then complete.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.own(name).is_ok_and(|path| path.is_file())
     }
 
-    /// Writes a file whole or not at all. The run's id is its end.
+    /// Writes a file completely or not at all. It ends with the run's id.
     pub(crate) fn write(&self, name: &str, content: &[u8]) -> Result<()> {
         let path = self.to_write(name)?;
         write_atomically(&path, |file| file.write_all(&[content, self.id.as_bytes()].concat()))
             .map_err(Error::file(&path))
     }
 
-    /// Reads what [`RunFolder::write`] wrote: it is damaged without the run's id at the end, as when someone has cut it short.
+    /// Reads the content of [`RunFolder::write`]. A file without the run's id at its end, such as one cut short, is damaged.
     pub(crate) fn read(&self, name: &str) -> Result<Vec<u8>> {
         let path = self.path.join(name);
         let bytes = fs::read(&path).map_err(Error::file(&path))?;
@@ -120,7 +120,7 @@ impl RunFolder {
         content.map(<[u8]>::to_vec)
     }
 
-    /// Removes these files of the run, and the folder if the run made it. Returns what others wrote there, which stays.
+    /// Removes these files of the run, and the folder if the run created it. Returns the files that others wrote there; they remain.
     pub(crate) fn remove(&self, files: impl Iterator<Item = String>) -> Result<Vec<PathBuf>> {
         let is_made = fs::read(self.marker()).is_ok_and(|content| content == MADE);
         for path in std::iter::once(PLAN.to_owned()).chain(files).filter_map(|name| self.own(&name).ok()) {
@@ -141,14 +141,14 @@ impl RunFolder {
             }
             let _if_empty = (!part.is_empty()).then(|| fs::remove_dir(self.path.join(part)));
         }
-        // The marker goes last: a run that is killed before goes on.
+        // The marker is removed last, so a run that is killed before can be resumed.
         let _others_may = fs::remove_file(self.marker());
         let _if_empty = is_made.then(|| fs::remove_dir(&self.path));
         Ok(others)
     }
 }
 
-/// The names in a folder; none if it is not there.
+/// The names in a folder; none if it does not exist.
 fn names(folder: &Path) -> Result<Vec<String>> {
     match folder.read_dir() {
         Ok(entries) => entries
@@ -159,7 +159,7 @@ fn names(folder: &Path) -> Result<Vec<String>> {
     }
 }
 
-/// Whether a program that was killed left this, see [`TEMPORARY`].
+/// Whether a killed program left this file, see [`TEMPORARY`].
 fn is_temporary(name: &str) -> bool {
     let [start, end] = TEMPORARY;
     name.starts_with(start) && name.ends_with(end)

@@ -1,4 +1,4 @@
-//! From the candidates of all tiles to keypoints.
+//! Makes keypoints from the candidates of all tiles.
 
 use snake_core::{Candidate, Control, Counts, by_rank};
 use snake_geometry::{Fate, Keypoint, Point};
@@ -15,22 +15,22 @@ pub struct TiledKeypoint {
     pub keypoint: Keypoint,
     /// The place of the tile that found it.
     pub tile: [i32; 2],
-    /// What keypoints are ranked by, best first, see [`Candidate::rank`].
+    /// The rank; keypoints with higher ranks come first, see [`Candidate::rank`].
     pub rank: f32,
-    /// Saliency where it started. Keypoints of equal rank are ranked by it, then by the z, y and x of their cells.
+    /// Saliency at the start of mode seeking. It orders keypoints of equal rank; after it come the z, y and x of their cells.
     pub start: f32,
-    /// The voxel where it started, along x, y and z.
+    /// The voxel of the start, along x, y and z.
     pub cell: [i32; 3],
 }
 
 /// The results of the tiles of a run.
 #[derive(Debug, Clone)]
 pub struct Detected {
-    /// The detected tiles, by place.
+    /// The detected tiles, ordered by place.
     summaries: Vec<([i32; 2], Summary)>,
-    /// Number of queries after each step, without keypoints.
+    /// Number of queries after each step, except keypoints.
     pub counts: Counts,
-    /// Tiles without candidates on disk. Keypoints there are missing, and those close by may differ.
+    /// Tiles whose candidates are not on disk. Their keypoints are missing, and keypoints close to them may differ.
     pub missing: Vec<Tile>,
 }
 
@@ -47,11 +47,11 @@ pub struct TiledDetection {
 type Rectangle = [[f64; 2]; 2];
 
 impl TiledRun {
-    /// The keypoints of all tiles: the bits of [`snake_core::Model::detect`].
+    /// The keypoints of all tiles, bit-identical to those of [`snake_core::Model::detect`].
     ///
     /// # Errors
     /// [`Error::Missing`] when not all tiles are detected; [`Error::Core`] and [`Error::Damaged`] for the files of the
-    /// folder; [`snake_core::Error::Cancelled`] and the like.
+    /// folder; [`snake_core::Error::Cancelled`] and [`snake_core::Error::DeadlineExceeded`].
     pub fn finish(&self, control: &Control) -> Result<TiledDetection> {
         let detected = self.detected()?;
         if !detected.missing.is_empty() {
@@ -60,14 +60,14 @@ impl TiledRun {
         self.finish_detected(&detected, control)
     }
 
-    /// The keypoints of the detected tiles, without those of [`Detected::missing`].
+    /// The keypoints of the detected tiles, without [`Detected::missing`].
     ///
     /// # Errors
-    /// As [`TiledRun::finish`].
+    /// The errors of [`TiledRun::finish`].
     pub fn finish_detected(&self, detected: &Detected, control: &Control) -> Result<TiledDetection> {
         let counter = control.begin("suppression", detected.summaries.len());
         let mut kept = Vec::new();
-        // One tile after another, so that the candidates of one wait in memory at a time.
+        // Tiles are processed one after another, so the candidates of only one are in memory at a time.
         for (index, (place, _)) in detected.summaries.iter().enumerate() {
             counter.check()?;
             kept.extend(self.suppress(index, &detected.summaries)?.into_iter().map(|candidate| (candidate, *place)));
@@ -81,7 +81,7 @@ impl TiledRun {
         Ok(TiledDetection { keypoints, counts })
     }
 
-    /// Looks at the candidates in the folder, once all tiles are detected.
+    /// Reads the summaries of the candidates in the folder, once all tiles are detected.
     ///
     /// # Errors
     /// [`Error::Core`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed it.
@@ -97,11 +97,11 @@ impl TiledRun {
         Ok(Detected { summaries, counts, missing })
     }
 
-    /// The keypoints of one tile. Those of all tiles, sorted by falling [`TiledKeypoint::rank`], then as [`TiledKeypoint::start`] says, are those
-    /// of [`TiledRun::finish`], which also limits their number.
+    /// The keypoints of one tile. [`TiledRun::finish`] gives those of all tiles, sorted by falling [`TiledKeypoint::rank`], then as
+    /// [`TiledKeypoint::start`] says, and limits their number.
     ///
     /// # Errors
-    /// As [`TiledRun::finish`].
+    /// The errors of [`TiledRun::finish`].
     pub fn keypoints(&self, tile: &Tile, detected: &Detected, control: &Control) -> Result<Vec<TiledKeypoint>> {
         match detected.summaries.binary_search_by_key(&tile.place, |(place, _)| *place) {
             Ok(index) => {

@@ -4,15 +4,15 @@
 //! files ─ 1. prepare ─→ points of each tile ─ 2. detect ─→ candidates of each tile ─ 3. finish ─→ keypoints
 //! ```
 //!
-//! 1. [`TiledRun::prepare`] reads the files point by point and writes the points to a folder, a file for each tile.
+//! 1. [`TiledRun::prepare`] reads the files point by point and writes the points to a folder, one file per tile.
 //! 2. [`TiledRun::detect`] encodes the voxels of one tile and writes their candidates. It reads the points of the tile and of a
 //!    margin around it.
-//! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with the needed candidates of the neighbours, and finds
-//!    the nearest point of each keypoint.
+//! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with the candidates of the
+//! neighbours that it needs, and finds the nearest point of each keypoint.
 //!
-//! The keypoints have the bits of [`snake_core::Model::detect`] on the whole cloud, for any size of the tiles. Memory grows
-//! with the largest tile and the number of keypoints. A step whose result is in the folder is not repeated, so an
-//! interrupted run continues where it was. A folder with another run, or with files that no run wrote, is refused.
+//! The keypoints are bit-identical to those of [`snake_core::Model::detect`] on the whole cloud, for any size of the tiles.
+//! Memory grows with the largest tile and the number of keypoints. A step whose result is in the folder is not repeated, so
+//! an interrupted run continues where it stopped. A folder with another run, or with files that no run wrote, is refused.
 //!
 //! ```
 //! use snake_core::{Builtin, Control, Model, TileDetector};

@@ -1,4 +1,4 @@
-//! The nearest point of each keypoint, and of each point.
+//! The nearest point of each keypoint, and the distance of each point to its nearest other point.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -10,7 +10,7 @@ use crate::Result;
 use crate::run::{TiledRun, widen};
 
 impl TiledRun {
-    /// The index of the nearest point of all files for each position; the lowest index among equally near points.
+    /// For each position, the index of the nearest point of all files; among equally near points, the lowest index.
     pub(crate) fn nearest(&self, positions: &[Point], control: &Control) -> Result<Vec<u64>> {
         let mut by_place: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
         for (index, position) in positions.iter().enumerate() {
@@ -21,7 +21,7 @@ impl TiledRun {
         for (place, mut open) in by_place {
             counter.check()?;
             let mut margin = 1;
-            // A point beyond the columns may be nearer, or none may be in them.
+            // A point outside the columns may be nearer, or the columns may contain no point.
             while !open.is_empty() {
                 let columns = widen(&self.plan.columns(place), margin);
                 let (points, indices) = self.points(&columns)?;
@@ -42,8 +42,8 @@ impl TiledRun {
         Ok(nearest)
     }
 
-    /// The mean distance of the distinct points of all tiles to their nearest other one: [`snake_geometry::resolution`] of the
-    /// cloud, if it has no outliers.
+    /// The mean distance of the distinct points of all tiles to their nearest other point. This is the cloud's
+    /// [`snake_geometry::resolution`] if it has no outliers.
     pub(crate) fn resolution(&self) -> Result<f64> {
         let (mut sum, mut number) = (0.0, 0_u32);
         for tile in self.tiles() {
@@ -67,7 +67,7 @@ impl TiledRun {
         Ok(if number > 0 { sum / f64::from(number) } else { 0.0 })
     }
 
-    /// Whether all points that are as near as the found one lie in the columns.
+    /// Whether all points that are as near as the one found lie in the columns.
     fn is_inside(&self, query: &Point, found: &Point, columns: &[Range<i32>; 2]) -> bool {
         let distance = (0..3).map(|axis| f64::from(query[axis] - found[axis]).powi(2)).sum::<f64>().sqrt();
         self.detector.is_inside(query, distance * (1.0 + 1e-5), columns)

@@ -13,18 +13,18 @@ use crate::folder::{PLAN, RunFolder};
 use crate::run::Extent;
 use crate::{Error, Result, candidates, points};
 
-/// Everything that decides the candidates of a run.
+/// Everything that determines the candidates of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Source {
     /// The version of this crate.
     version: String,
-    /// Each input file with the digest of its content; for files behind URLs the words of the server.
+    /// Each input file with the digest of its content; behind a URL, with the size and the version from the server.
     files: Vec<(PathBuf, String)>,
     /// Whether the points are read from the files by bounds.
     pub(crate) by_bounds: bool,
     /// How the files are read.
     read: String,
-    /// Columns along the side of a tile.
+    /// Number of columns along the side of a tile.
     pub(crate) columns: i32,
     /// Model and options.
     settings: TileSettings,
@@ -63,7 +63,7 @@ impl Source {
     }
 }
 
-/// The name and the content of a file. A file that cannot be read is a failure of the run, which its plan names.
+/// The path and the content of a file. An unreadable file has the error's text; the plan lists it as a failure.
 fn content(file: &dyn Ranges) -> (PathBuf, String) {
     let path = file.path().to_owned();
     let digest = || Ok(blake3::Hasher::new().update_reader(File::open(&path)?)?.finalize().to_string());
@@ -73,7 +73,7 @@ fn content(file: &dyn Ranges) -> (PathBuf, String) {
     (path, content)
 }
 
-/// The size and the version of a file, for files on disk the time of the last change: quicker to tell than its content.
+/// The size and the version of a file; on disk, the time of its last change. Quicker to get than the content.
 pub(crate) type Version = (u64, String);
 
 pub(crate) fn version(file: &dyn Ranges) -> Result<Version> {
@@ -95,7 +95,7 @@ pub struct Failure {
 pub struct Tile {
     /// Its place among the tiles, along x and y.
     pub place: [i32; 2],
-    /// Number of its points; an estimate when they are read from COPC files.
+    /// Number of its points; an estimate if they are read from COPC files.
     pub num_points: u64,
 }
 
@@ -103,25 +103,25 @@ pub struct Tile {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Plan {
     pub(crate) source: Source,
-    /// The versions of the input files, in their order.
+    /// The versions of the input files, in order.
     pub(crate) versions: Vec<Version>,
     /// Added to all points, see [`snake_geometry::Cloud::origin`].
     pub(crate) origin: [f64; 3],
     /// The lowest and the highest corner of the points, relative to the origin.
     pub(crate) corners: [Point; 2],
     pub(crate) crs: Option<Crs>,
-    /// Points of all files, those that are not finite included.
+    /// Number of points in all files, including those that are not finite.
     pub(crate) num_points: u64,
     pub(crate) num_skipped: u64,
     pub(crate) failures: Vec<Failure>,
     /// The resolution of the cloud, if the options need it.
     pub(crate) resolution: Option<f64>,
-    /// By place, ascending.
+    /// Ordered by place, ascending.
     pub(crate) tiles: Vec<Tile>,
 }
 
 impl Plan {
-    /// A plan before its tiles.
+    /// A plan without tiles.
     pub(crate) fn new(source: Source, versions: Vec<Version>, cloud: Extent) -> Self {
         let Extent { bounds, crs, failures, .. } = cloud;
         let origin = bounds.origin();
@@ -146,7 +146,7 @@ impl Plan {
         serde_json::from_slice(&folder.read(PLAN)?).map_err(damaged)
     }
 
-    /// The plan in a folder that another process made with these settings.
+    /// The plan in a folder, made by another process with these settings.
     pub(crate) fn open(folder: &RunFolder, settings: &TileSettings) -> Result<Self> {
         let plan = Self::read(folder)?;
         let is_same = plan.source.settings == *settings && plan.source.version == env!("CARGO_PKG_VERSION");
@@ -158,7 +158,7 @@ impl Plan {
         self.source.files.iter().map(|(path, ..)| path.as_path())
     }
 
-    /// Refuses other COPC files than those of the run.
+    /// Refuses COPC files that are not those of the run.
     pub(crate) fn check_files(&self, folder: &RunFolder, files: &[Copc]) -> Result<()> {
         let versions = files.iter().map(|file| version(file.source())).collect::<Result<Vec<_>>>()?;
         let paths = files.iter().map(|file| file.source().path());
@@ -173,19 +173,19 @@ impl Plan {
         folder.write(PLAN, &text)
     }
 
-    /// The names of the files of all tiles.
+    /// The file names of all tiles.
     pub(crate) fn names(&self) -> impl Iterator<Item = String> {
         let names = |tile: &Tile| [candidates::name(tile.place), points::name(tile.place)];
         self.tiles.iter().flat_map(names)
     }
 
-    /// The columns of voxels of the tile at a place.
+    /// The columns of voxels in the tile at a place.
     pub(crate) fn columns(&self, place: [i32; 2]) -> [Range<i32>; 2] {
         let side = self.source.columns;
         place.map(|place| place * side..(place + 1) * side)
     }
 
-    /// The place of the tile of a column.
+    /// The place of the tile that has a column.
     pub(crate) fn place(&self, column: [i32; 2]) -> [i32; 2] {
         place(self.source.columns, column)
     }
@@ -207,7 +207,7 @@ impl Plan {
     }
 }
 
-/// The places of columns.
+/// The places of the tiles that have these columns, along each axis.
 pub(crate) fn place(side: i32, columns: [i32; 2]) -> [i32; 2] {
     columns.map(|column| column.div_euclid(side))
 }

@@ -1,7 +1,7 @@
 //! The points of the tiles on disk.
 //!
-//! A file holds the points of a tile in the order of the cloud, each as x, y and z in `f32` and its index in the cloud in
-//! `u64`, little-endian.
+//! A file contains the points of a tile in the order of the cloud. Each point is stored as x, y and
+//! z in `f32` and its index in the cloud in `u64`, little-endian.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,13 +17,13 @@ use crate::{Error, Result};
 /// Bytes of a point.
 const RECORD: usize = 20;
 
-/// Bytes that wait in memory before they are written to their files.
+/// Number of bytes that are buffered before they are written to their files.
 const BUFFERED: usize = 128 << 20;
 
-/// Bytes that are read at once: whole points.
+/// Number of bytes that are read at once: whole points.
 const PART: u64 = 50_000 * RECORD as u64;
 
-/// The name of the file of the tile at a place.
+/// The file name for the tile at a place.
 pub(crate) fn name([x, y]: [i32; 2]) -> String {
     format!("points/{x}_{y}.bin")
 }
@@ -31,7 +31,7 @@ pub(crate) fn name([x, y]: [i32; 2]) -> String {
 /// Sorts points into the files of their tiles.
 pub(crate) struct PointWriter<'a> {
     folder: &'a RunFolder,
-    /// The number of points of each tile, and the bytes of the last ones that wait.
+    /// For each tile, the number of its points and the bytes of its last points, which are not yet written.
     tiles: BTreeMap<[i32; 2], (u64, Vec<u8>)>,
     buffered: usize,
 }
@@ -51,7 +51,7 @@ impl<'a> PointWriter<'a> {
         if self.buffered >= BUFFERED { self.write() } else { Ok(()) }
     }
 
-    /// Writes the points that wait, over those of a run that was killed.
+    /// Writes the buffered points, over those of a killed run.
     fn write(&mut self) -> Result<()> {
         for (&place, (number, buffer)) in &mut self.tiles {
             let path = self.folder.to_write(&name(place))?;
@@ -68,7 +68,7 @@ impl<'a> PointWriter<'a> {
         Ok(())
     }
 
-    /// Writes the remaining points, and waits until all are on the disk.
+    /// Writes the remaining points, and waits until all points are on the disk.
     pub(crate) fn finish(&mut self) -> Result<()> {
         self.write()?;
         for &place in self.tiles.keys() {
@@ -79,7 +79,7 @@ impl<'a> PointWriter<'a> {
         Ok(())
     }
 
-    /// The tiles by place.
+    /// The tiles, ordered by place.
     pub(crate) fn tiles(&self) -> Vec<Tile> {
         self.tiles.iter().map(|(&place, &(num_points, _))| Tile { place, num_points }).collect()
     }
@@ -88,7 +88,7 @@ impl<'a> PointWriter<'a> {
 /// Calls `found` with each point of a tile and its index.
 ///
 /// # Errors
-/// [`Error::Core`], and [`Error::Damaged`] at the end of a file that has another number of points than the tile.
+/// [`Error::Core`]; [`Error::Damaged`], after the points, for a file whose number of points is not that of the tile.
 pub(crate) fn for_each_point(folder: &RunFolder, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
     let path = folder.path.join(name(tile.place));
     let mut file = File::open(&path).map_err(Error::file(&path))?;

@@ -20,21 +20,21 @@ pub struct TiledRun {
     pub(crate) detector: PlacedDetector,
     pub(crate) plan: Plan,
     pub(crate) folder: RunFolder,
-    /// The COPC files that have the points; none when the folder has them.
+    /// The COPC files with the points; empty if the points are in the folder.
     pub(crate) copc: Vec<Copc>,
 }
 
 impl TiledRun {
-    /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run that is there.
-    /// The files make up one cloud, in their order.
+    /// Writes the points of the files to tiles of about `side` cloud units in `folder`, or continues the run in that folder.
+    /// The files make up one cloud, in this order.
     ///
-    /// The folder must be new, empty or of the same run. Several processes may use it at a time: they write the same bytes.
+    /// The folder must be new, empty or of the same run. Several processes may use it at once: they write the same bytes.
     ///
-    /// COPC files are not copied: if all files are such, this is [`TiledRun::prepare_copc`]. Files that cannot be read are left
-    /// out, see [`TiledRun::failures`].
+    /// COPC files are not copied: if all files are COPC files, this is [`TiledRun::prepare_copc`].
+    /// Files that cannot be read are left out, see [`TiledRun::failures`].
     ///
     /// # Errors
-    /// [`Error::Refused`] for a side that is not positive or makes tiles without number, for coordinates in degrees, for
+    /// [`Error::Refused`] for a side that is not positive or makes too many tiles, for coordinates in degrees, for
     /// files of different coordinate reference systems, for a folder with another run or with files that no run wrote, and for
     /// inputs that change while they are read; [`Error::Core`] when no file can be read, when the folder cannot be written, or
     /// when the voxel size does not suit the cloud.
@@ -51,7 +51,7 @@ impl TiledRun {
         choose_voxel_size(&mut detector, &mut |found| {
             let outcomes = files.iter().map(|file| snake_io::for_each_position(file, read, found));
             let (read, failed): (Vec<_>, Vec<_>) = outcomes.partition(|outcome| outcome.is_ok());
-            // One of several files that cannot be read becomes a failure later.
+            // If one of several files cannot be read, it becomes a failure later.
             failed.into_iter().next().filter(|_| read.is_empty()).map_or(Ok(()), |error| Ok(error.map(drop)?))
         })?;
         let columns = columns_of(&detector, side)?;
@@ -75,7 +75,7 @@ impl TiledRun {
         })
     }
 
-    /// Marks the folder, and writes the plan once `make` has made what it names. If that fails, all of it goes again.
+    /// Marks the folder, calls `make` and then writes the plan. If one of these fails, the files are removed.
     pub(crate) fn begun(mut self, detector: &TileDetector, make: impl FnOnce(&mut Self) -> Result<()>) -> Result<Self> {
         self.folder.mark()?;
         let prepare = || {
@@ -95,16 +95,16 @@ impl TiledRun {
         }
     }
 
-    /// The run with the detector of the plan's cloud.
+    /// The run with the detector for the plan's cloud.
     pub(crate) fn placed(detector: &TileDetector, plan: Plan, folder: RunFolder, copc: Vec<Copc>) -> Result<Self> {
         Ok(Self { detector: detector.place(plan.corners, plan.resolution)?, plan, folder, copc })
     }
 
     /// Opens the run that [`TiledRun::prepare`] made in a folder, for another process or machine that sees the folder. The
-    /// files of the cloud are only needed when they are COPC files.
+    /// input files are only needed if they are COPC files.
     ///
     /// # Errors
-    /// [`Error::Core`] without such a run; [`Error::Refused`] for another model, other options or another version.
+    /// [`Error::Core`] if there is no such run; [`Error::Refused`] for another model, other options or another version.
     pub fn open(detector: TileDetector, folder: &Path) -> Result<Self> {
         let folder = RunFolder::open(folder)?;
         let plan = Plan::open(&folder, &detector.settings())?;
@@ -120,7 +120,7 @@ impl TiledRun {
         &self.folder.path
     }
 
-    /// Removes the files of the run, and the folder if a run made it. Returns the files that no run wrote, which stay.
+    /// Removes the files of the run, and the folder if a run created it. Returns the files that no run wrote; they remain.
     ///
     /// # Errors
     /// [`Error::Core`] when a file cannot be removed.
@@ -143,7 +143,7 @@ impl TiledRun {
         &self.plan.failures
     }
 
-    /// Number of points of all files, and how many of them were skipped because they are not finite.
+    /// Number of points in all files, and how many of them were skipped because they are not finite.
     pub fn num_points(&self) -> (u64, u64) {
         (self.plan.num_points, self.plan.num_skipped)
     }
@@ -176,11 +176,11 @@ impl TiledRun {
         self.folder.has(&candidates::name(tile.place))
     }
 
-    /// Finds the candidates of a tile and writes them to the folder, unless they are there.
+    /// Finds the candidates of a tile and writes them to the folder, unless they are already there.
     ///
     /// # Errors
     /// [`Error::Core`] and [`Error::Damaged`] for the files of the folder; [`Error::Refused`] when another process has removed
-    /// it; [`Error::Core`] as of [`snake_core::Model::detect_with`].
+    /// it; the errors of [`snake_core::Model::detect_with`] as [`Error::Core`].
     pub fn detect(&self, tile: &Tile, control: &Control) -> Result<()> {
         if self.is_detected(tile) {
             return Ok(());
@@ -200,7 +200,7 @@ impl TiledRun {
         candidates::write(&self.folder, tile.place, &candidates)
     }
 
-    /// The points in columns, in the order of the cloud, and their indices.
+    /// The points in a range of columns, in the order of the cloud, and their indices.
     pub(crate) fn points(&self, columns: &[Range<i32>; 2]) -> Result<(Vec<Point>, Vec<u64>)> {
         let mut inside = Vec::new();
         let mut add = |point: Point, index: u64| {
@@ -219,7 +219,7 @@ impl TiledRun {
         Ok(inside.into_iter().map(|(index, point)| (point, index)).unzip())
     }
 
-    /// The second pass over the files: writes the points of each tile. The plan then has the tiles, also after an error.
+    /// The second pass over the files: writes the points of each tile. Afterwards the plan has the tiles, even after an error.
     fn sort_points(&mut self, files: &[PathBuf], read: &ReadOptions) -> Result<()> {
         let Self { detector, plan, folder, .. } = self;
         let (columns, origin) = (plan.source.columns, plan.origin);
@@ -245,7 +245,7 @@ impl TiledRun {
     }
 }
 
-/// Columns with some more on all sides.
+/// Columns, extended by `by` columns on all sides.
 pub(crate) fn widen(columns: &[Range<i32>; 2], by: i32) -> [Range<i32>; 2] {
     columns.clone().map(|range| range.start.saturating_sub(by)..range.end.saturating_add(by))
 }
@@ -261,13 +261,13 @@ pub(crate) fn columns_of(detector: &TileDetector, side: f64) -> Result<i32> {
     Ok(columns as i32)
 }
 
-/// Points of a cloud whose voxel size can be chosen, at most: they are read into memory for it.
+/// Maximum number of points of a cloud whose voxel size can be chosen: the choice needs all of them in memory.
 const CHOSEN_POINTS: usize = 2_000_000;
 
-/// Takes a position.
+/// A function that receives a position.
 type Take<'a> = dyn FnMut([f64; 3]) + 'a;
 
-/// Chooses the voxel size where the options have none. `read` calls its argument with all points.
+/// Chooses the voxel size if the options have none. `read` calls its argument with all points.
 pub(crate) fn choose_voxel_size(
     detector: &mut TileDetector,
     read: &mut dyn FnMut(&mut Take<'_>) -> Result<()>,
@@ -359,7 +359,7 @@ fn extent(files: &[PathBuf], read: &ReadOptions) -> Result<Extent> {
     extent.checked()
 }
 
-/// Opens the files if all of them are COPC files whose points are read as they are.
+/// Opens the files, if all are COPC files whose points are read unchanged.
 fn open_all<'a>(files: impl IntoIterator<Item = &'a Path>, read: &ReadOptions) -> Option<Vec<Copc>> {
     if read.columns.is_some() || read.sample.is_some() || read.keep_withheld {
         return None;
