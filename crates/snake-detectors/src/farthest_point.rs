@@ -6,8 +6,8 @@ use snake_geometry::Point;
 
 /// At most `count` points; each is the farthest from all points before it.
 ///
-/// The first is the farthest from the mean, so the selection rotates with the cloud. Among equally
-/// far points the lowest index is taken. Fewer points are returned when the rest are duplicates.
+/// The first point is the farthest from the mean, so the selection rotates with the cloud. Among
+/// equally far points, the lowest index is taken. If the rest are duplicates, there are fewer points.
 ///
 /// The score is the distance to the nearest earlier point; the first point has the score of the
 /// second.
@@ -19,10 +19,10 @@ pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> 
     among_finite(points, |points| find(points, count))
 }
 
-/// [`farthest_points`] of finite points.
+/// [`farthest_points`] for finite points.
 fn find(points: &[Point], count: usize) -> Result<Vec<Response>> {
     check_distinct(points)?;
-    // The first point takes its score from the second.
+    // The first point has the score of the second.
     let keypoints = snake_geometry::farthest_points(points, count.max(2), || Result::Ok(()))?;
     let scores = keypoints.iter().map(|(_, squared)| squared.sqrt()).collect::<Vec<_>>();
     let response = |(place, &(index, _)): (usize, &(usize, f64))| Response { index, score: scores[place.max(1)] };

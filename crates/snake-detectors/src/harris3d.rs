@@ -20,7 +20,7 @@ options! {
     }
 }
 
-/// A flat neighbourhood has a response of 0 up to rounding, and no local maximum.
+/// Smaller responses count as 0: a flat neighbourhood has 0 up to rounding, and no local maximum.
 const FLAT: f64 = 1e-12;
 
 /// Harris 3D keypoints, by falling score.
@@ -46,7 +46,7 @@ pub fn harris3d_with(points: &[Point], options: &Harris3dOptions, control: &Cont
     among_distinct(points, |points| find(points, options, control))
 }
 
-/// [`harris3d`] of finite, distinct points.
+/// [`harris3d`] for finite, distinct points.
 fn find(points: &[Point], options: &Harris3dOptions, control: &Control) -> Result<Vec<Response>> {
     if !options.threshold.is_finite() {
         let value = options.threshold.to_string();
@@ -68,7 +68,7 @@ fn find(points: &[Point], options: &Harris3dOptions, control: &Control) -> Resul
         let is_corner = |response| response > FLAT && response >= options.threshold;
         return local_maxima(&cloud, &responses, radius, 0, control, is_corner);
     }
-    // No point is closer than 0, so this radius suppresses nothing.
+    // No point is closer than 0, so the radius 0 suppresses nothing.
     local_maxima(&cloud, &responses, 0.0, 0, control, |response| response >= options.threshold)
 }
 

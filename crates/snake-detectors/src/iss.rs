@@ -40,9 +40,9 @@ options! {
 /// ISS keypoints, by falling score. The score is the smallest eigenvalue, in squared cloud units:
 /// the variance in the direction of least variance.
 ///
-/// The default options give the keypoints of Open3D's `compute_iss_keypoints`, except where that
-/// depends on rounding. Points with the same neighbours have equal saliency: all are kept here and
-/// one is kept there. An exactly flat neighbourhood has no keypoint here and may have one there.
+/// The default options give the keypoints of Open3D's `compute_iss_keypoints`, except if rounding
+/// decides. Points with the same neighbours have equal saliency: all of them are kept here, but one
+/// in Open3D. An exactly flat neighbourhood has no keypoint here and may have one in Open3D.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated; [`Error::Option`]
@@ -60,7 +60,7 @@ pub fn iss_with(points: &[Point], options: &IssOptions, control: &Control) -> Re
     among_distinct(points, |points| find(points, options, control))
 }
 
-/// [`iss`] of finite, distinct points.
+/// [`iss`] for finite, distinct points.
 fn find(points: &[Point], options: &IssOptions, control: &Control) -> Result<Vec<Response>> {
     for (name, gamma) in [("gamma_21", options.gamma_21), ("gamma_32", options.gamma_32)] {
         if gamma.is_nan() || gamma <= 0.0 {
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_corners_of_a_cube_are_the_strongest() {
         let points = cube(11);
-        // At a corner two eigenvalues are equal, and a ratio limit below 1 would drop it.
+        // At a corner, two eigenvalues are equal, so a limit of the ratio below 1 would drop it.
         for covariance in [Covariance::AboutMean, Covariance::AboutPoint] {
             let options = IssOptions {
                 salient_radius: Length::Units(0.35),
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn saliencies_by_hand() {
-        // Two points on each axis, at 1, 2 and 3; with the point itself seven. Sums: 2, 8, 18;
+        // Two points on each axis, at 1, 2 and 3: seven points with the point itself. Sums: 2, 8, 18;
         // means: a seventh.
         let mut points = vec![[0.0; 3]];
         for (axis, offset) in [1.0, 2.0, 3.0].into_iter().enumerate() {

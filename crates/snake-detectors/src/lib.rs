@@ -3,11 +3,11 @@
 //!
 //! Each returns indices of input points with a score, by falling score and, for equal scores, by
 //! rising index. Results are the same for any number of threads. [`Detector::keypoints`] selects
-//! keypoints of any of them by a [`Protocol`]. Points that are not finite and
-//! [`Outliers`](snake_geometry::Outliers) are skipped. The first of equal points counts, except for
-//! random points. Indices refer to the whole cloud.
+//! the keypoints of any detector by a [`Protocol`]. Points that are not finite, missing returns and
+//! [`Outliers`](snake_geometry::Outliers) are skipped. Of equal points only the first counts, except
+//! for random points. Indices refer to the whole cloud.
 //!
-//! A new detector is a file here and a row of the table of [`Detector`].
+//! To add a detector, add a file here and a row to the table of [`Detector`].
 
 #![forbid(unsafe_code)]
 
@@ -57,7 +57,7 @@ pub enum Protocol {
     Paper,
 }
 
-/// The wanted keypoints of a cloud, and the control of the call.
+/// The requested keypoints of a cloud, and the control of the call.
 #[derive(Clone, Copy)]
 struct Wanted<'a> {
     count: usize,
@@ -180,8 +180,8 @@ impl Detector {
     }
 }
 
-/// Keypoints of a cloud `(N, 3)` by a detector with options of its own, such as
-/// `|points| iss(points, &options)`: `count` of its responses by a protocol.
+/// `count` keypoints of a cloud `(N, 3)`, selected by a protocol. `detect` is a detector with options
+/// of its own, such as `|points| iss(points, &options)`.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points; [`Error::Option`] when `count` is 0; the
@@ -211,7 +211,7 @@ impl<'a> Wanted<'a> {
         Ok(Self { count, protocol, seed, control })
     }
 
-    /// The wanted keypoints among the responses of a detector to these points.
+    /// The requested keypoints among a detector's responses to these points.
     fn select(self, points: &[Point], mut responses: Vec<Response>) -> Vec<Response> {
         match self.protocol {
             Protocol::Ranked => {
@@ -245,7 +245,7 @@ fn among_finite(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Resp
     Ok(responses.map(|Response { index, score }| Response { index: finite.original_index(index), score }).collect())
 }
 
-/// [`among_finite`] on the first of all equal points: a repeated point weighs as much as any other.
+/// [`among_finite`] for the first of all equal points: a repeated point counts once.
 fn among_distinct(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Response>>) -> Result<Vec<Response>> {
     among_finite(points, |points| {
         let mut seen = HashSet::with_capacity(points.len());
@@ -261,7 +261,7 @@ fn among_distinct(points: &[Point], find: impl FnOnce(&[Point]) -> Result<Vec<Re
     })
 }
 
-/// Refuses a cloud of one point, however often it is repeated.
+/// Refuses a cloud that consists of a single point, however often it is repeated.
 fn check_distinct(points: &[Point]) -> Result<()> {
     if points.iter().all(|p| *p == points[0]) {
         return Err(Error::Input { what: "points", reason: "need at least two different points".into() });
@@ -275,14 +275,14 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
     Neighbors::new(points.iter().map(|&p| vector(p)).collect())
 }
 
-/// A value of each point, unless the call must stop.
+/// The value of each point, unless the call must stop.
 fn each_point<T: Send>(cloud: &Neighbors, control: &Control, value: impl Fn(&Vector) -> T + Sync) -> Result<Vec<T>> {
     cloud.points.par_iter().map(|point| control.check().map(|()| value(point))).collect()
 }
 
-/// Non-maximum suppression: the indices of points that pass and whose score no point closer than
-/// `radius` exceeds. Points with equal scores all stay. As in PCL and Open3D, every neighbour counts,
-/// whether it passes or not.
+/// Non-maximum suppression: the indices of points that pass and that have no point with a higher
+/// score closer than `radius`. Points with equal scores all stay. As in PCL and Open3D, every
+/// neighbour counts, whether it passes or not.
 fn local_maxima(
     cloud: &Neighbors,
     scores: &[f64],

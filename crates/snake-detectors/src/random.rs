@@ -6,8 +6,8 @@ use super::{Response, among_finite, by_falling_score, index_cloud};
 use snake_core::Result;
 use snake_geometry::Point;
 
-/// `count` points of the cloud, or all if it has fewer, drawn without replacement. Every point gets
-/// a random score in [0, 1), and the highest scores are taken.
+/// `count` points of the cloud, or all points if it has fewer, drawn without replacement. Every point
+/// gets a random score in [0, 1), and the points with the highest scores are taken.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
@@ -16,7 +16,7 @@ pub fn random_points(points: &[Point], count: usize, seed: u64) -> Result<Vec<Re
     among_finite(points, |points| find(points, count, seed))
 }
 
-/// [`random_points`] of finite points.
+/// [`random_points`] for finite points.
 fn find(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
     index_cloud(points)?;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
@@ -38,7 +38,7 @@ mod tests {
             drawn.iter().for_each(|response| hits[response.index] += 1);
             assert_eq!(drawn, random_points(&points, 10, seed).unwrap());
         }
-        // 400 each, standard deviation 18.
+        // 400 hits each, with a standard deviation of 18.
         assert!(hits.iter().all(|hits| (310..490).contains(hits)), "{hits:?}");
         let mut all: Vec<usize> = random_points(&points, 999, 0).unwrap().iter().map(|r| r.index).collect();
         assert_ne!(all, (0..50).collect::<Vec<_>>());

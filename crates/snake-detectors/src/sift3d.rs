@@ -9,7 +9,7 @@ use super::{Response, among_distinct, by_falling_score, each_point, index_cloud}
 use snake_core::{Control, Result};
 use snake_geometry::{Length, Neighbors, Point, Vector, eigen, options};
 
-/// The search ends at an octave with fewer points.
+/// The search ends at an octave that has fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;
 /// The number of nearest points, itself included, among which a point must be an extremum.
 const EXTREMUM_NEIGHBORS: NonZeroUsize = NonZeroUsize::MIN.saturating_add(24);
@@ -53,7 +53,7 @@ options! {
 /// Each octave reduces the previous octave's cloud to voxel means and blurs the field at
 /// `scales_per_octave + 3` scales. An extremum is a difference between neighbouring scales that is
 /// extreme among the 25 nearest points and exceeds both adjacent scales. A keypoint is the input
-/// point nearest to an extremum; the strongest of several extrema counts.
+/// point nearest to an extremum; if several extrema have the same nearest point, the strongest counts.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
@@ -71,7 +71,7 @@ pub fn sift3d_with(points: &[Point], options: &Sift3dOptions, control: &Control)
     among_distinct(points, |points| find(points, options, control))
 }
 
-/// [`sift3d`] of finite, distinct points.
+/// [`sift3d`] for finite, distinct points.
 fn find(points: &[Point], options: &Sift3dOptions, control: &Control) -> Result<Vec<Response>> {
     options.check_ranges()?;
     let input = index_cloud(points)?;
@@ -111,8 +111,8 @@ fn values(cloud: &Neighbors, options: &Sift3dOptions, control: &Control) -> Resu
     each_point(cloud, control, variation)
 }
 
-/// The mean point and the mean of the field in every occupied voxel; voxels lie on multiples of
-/// `edge`.
+/// The mean point and the mean field value of every occupied voxel. The borders of the voxels are
+/// multiples of `edge`.
 fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) {
     let voxel = |p: &Vector| -> [i64; 3] { (p / edge).map(|v| v.floor() as i64).into() };
     let mut order: Vec<([i64; 3], usize)> = points.iter().map(voxel).zip(0..).collect();
@@ -125,8 +125,8 @@ fn thin(points: &[Vector], field: &[f64], edge: f64) -> (Vec<Vector>, Vec<f64>) 
     order.chunk_by(|a, b| a.0 == b.0).map(mean).unzip()
 }
 
-/// The differences of the field between neighbouring scales of an octave, `[point][scale]`;
-/// Gaussians end at 3 sigma.
+/// The differences of the field between neighbouring scales of an octave, `[point][scale]`. Gaussians
+/// are cut off at 3 sigma.
 fn differences_of_gaussians(
     cloud: &Neighbors,
     field: &[f64],
@@ -156,7 +156,7 @@ fn differences_of_gaussians(
     each_point(cloud, control, differences)
 }
 
-/// Positions of the extrema and their absolute values.
+/// Positions of the extrema, and the absolute values there.
 fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Vec<(Vector, f64)> {
     let extrema = |index: usize| {
         let neighbors = cloud.nearest(&cloud.points[index], EXTREMUM_NEIGHBORS);

@@ -1,4 +1,4 @@
-//! Surface variation (Pauly, Gross and Kobbelt 2002): how far a neighbourhood is from flat.
+//! Surface variation (Pauly, Gross and Kobbelt 2002): how far a neighbourhood is from being flat.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,8 +19,8 @@ options! {
 
 /// Keypoints of the largest surface variation, by falling score.
 ///
-/// The score is the smallest eigenvalue of the covariance of the points nearer than `radius`,
-/// divided by the sum of the three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no
+/// The score is the smallest eigenvalue of the covariance of the points closer than `radius`,
+/// divided by the sum of all three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no
 /// keypoint.
 ///
 /// # Errors
@@ -43,7 +43,7 @@ pub fn surface_variation_with(
     among_distinct(points, |points| find(points, options, control))
 }
 
-/// [`surface_variation`] of finite, distinct points.
+/// [`surface_variation`] for finite, distinct points.
 fn find(points: &[Point], options: &SurfaceVariationOptions, control: &Control) -> Result<Vec<Response>> {
     options.check_ranges()?;
     let cloud = index_cloud(points)?;
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn radii_may_be_per_cent_of_the_clouds() {
-        // The farthest corner of the unit cube is half its diagonal from the mean.
+        // The distance from the mean to the farthest corner of a unit cube is half its diagonal.
         let points = cube(9);
         let radius = Length::Units(0.3 * 0.75_f64.sqrt());
         let options = SurfaceVariationOptions::default();

@@ -13,13 +13,13 @@ fn a_flat_plate_has_no_keypoints() {
         sift3d(&level, &Sift3dOptions::default()).unwrap(),
     ];
     assert_eq!(keypoints.map(|responses| responses.len()), [0; 4]);
-    // The coordinates of a tilted plate are rounded to f32, which ISS, surface variation and SIFT
-    // take for its shape.
+    // The coordinates of a tilted plate are rounded to f32; to ISS, surface variation and SIFT this
+    // looks like its shape.
     assert_eq!(harris3d(&plate(0.3), &Harris3dOptions::default()).unwrap(), []);
 }
 
-/// A unit cube's surface: `side`² points on each face, the edges doubled as its faces share
-/// them.
+/// The surface of a unit cube: `side`² points on each face. Faces share the points on their common
+/// edges.
 pub(super) fn cube(side: usize) -> Vec<Point> {
     let at = |i: usize| i as f32 / (side - 1) as f32;
     let on_faces = (0..6 * side * side).map(|i| {
@@ -34,7 +34,7 @@ pub(super) fn cube(side: usize) -> Vec<Point> {
     points
 }
 
-/// The index of the corner of [`cube`] near a point, as bits of x, y and z.
+/// The index of the corner of [`cube`] near a point; its bits are x, y and z.
 pub(super) fn corner(point: Point) -> Option<usize> {
     let near = point.iter().all(|v| !(0.25..=0.75).contains(v));
     near.then(|| point.iter().enumerate().map(|(axis, v)| usize::from(*v > 0.5) << axis).sum())
@@ -98,7 +98,7 @@ fn two_points_and_far_points_are_no_panic() {
                 Ok(keypoints) => {
                     assert!(!keypoints.is_empty() && keypoints.len() <= points.len(), "{detector:?} {keypoints:?}")
                 }
-                // Its radius is a part of the cloud's, which must be within bounds.
+                // Its radius is a share of the cloud's radius, which must be within bounds.
                 Err(error) => assert!(
                     detector == Detector::SurfaceVariation && error.to_string().contains("extent"),
                     "{detector:?} {error}"
@@ -148,7 +148,7 @@ fn lengths_that_cannot_be_used_are_refused() {
             }
         }
     }
-    // Every point occurs twice, and counts once.
+    // Every point occurs twice and counts once.
     let doubled = [points.clone(), points.clone()].concat();
     let keypoints = |points: &[Point]| iss(points, &IssOptions::default()).unwrap();
     assert_eq!(keypoints(&doubled), keypoints(&points));
@@ -163,7 +163,7 @@ fn the_paper_protocol_draws_and_fills_up() {
     let indices = |number, count, seed| -> Vec<usize> {
         random_subset(1000, responses(number), count, seed).into_iter().map(|r| r.index).collect()
     };
-    // More than asked for: a subset of them, and not the first.
+    // More than requested: a random subset, not the first ones.
     let drawn = indices(50, 10, 0);
     assert_eq!(drawn.len(), 10);
     assert!(drawn.iter().all(|i| (100..150).contains(i)) && drawn.iter().any(|&i| i >= 110));
