@@ -1,4 +1,4 @@
-//! Arguments of C as slices and texts, with checks of what can be checked.
+//! C arguments as slices and texts, with all checks that are possible.
 
 use std::borrow::Cow;
 use std::ffi::{CStr, c_char};
@@ -12,7 +12,7 @@ fn refused(what: &str, reason: &str) -> Failure {
     Failure::new(SnakeStatus::Argument, format!("{what}: {reason}"))
 }
 
-/// Refuses a place for a result that nothing can be written to.
+/// Refuses a pointer to which no result can be written.
 pub(crate) fn check_output<T>(what: &str, pointer: *mut T) -> Result<()> {
     aligned(what, pointer)
 }
@@ -30,7 +30,7 @@ pub(crate) unsafe fn input<'a, T>(what: &str, pointer: *const T) -> Result<&'a T
 /// The value behind a pointer; `None` for null.
 ///
 /// # Safety
-/// As [`input`].
+/// As for [`input`].
 pub(crate) unsafe fn optional<'a, T>(what: &str, pointer: *const T) -> Result<Option<&'a T>> {
     // SAFETY: the caller vouches for the pointer.
     (!pointer.is_null()).then(|| unsafe { input(what, pointer) }).transpose()
@@ -44,7 +44,7 @@ fn aligned<T>(what: &str, pointer: *const T) -> Result<()> {
     }
 }
 
-/// `length` values from a pointer on.
+/// `length` values that begin at a pointer.
 ///
 /// # Safety
 /// `pointer` is null or valid for reads of `length` values.
@@ -104,10 +104,10 @@ pub(crate) unsafe fn text<'a>(what: &str, pointer: *const c_char) -> Result<&'a 
     text.to_str().map_err(|_| refused(what, "not UTF-8"))
 }
 
-/// Options as a JSON object; null: none.
+/// Options as a JSON object; no options for null.
 ///
 /// # Safety
-/// As [`text`].
+/// As for [`text`].
 pub(crate) unsafe fn options(pointer: *const c_char) -> Result<Map<String, Value>> {
     if pointer.is_null() {
         return Ok(Map::new());

@@ -46,7 +46,7 @@ pub struct SnakeDetection {
     notes: Vec<CString>,
 }
 
-/// A text for C: without zeros, which would end it, and without characters that control a terminal.
+/// A text for C, without zeros, which would end it, and without characters that control a terminal.
 fn c_text(text: &str) -> CString {
     CString::new(printable(text).as_bytes()).unwrap_or_default()
 }

@@ -1,14 +1,14 @@
 //! C interface of snake-rs: models, keypoints and registration for C and C++. `include/snake_rs.h` declares it.
 //!
-//! Every function but those that free and ask returns a [`SnakeStatus`]. After a status other than
-//! [`SnakeStatus::Ok`], [`snake_last_error`] gives the reason as text, for each thread by itself, and the result is null
-//! or unchanged. No argument makes a function crash, as long as pointers are null or valid: null, wrong lengths and
+//! Every function returns a [`SnakeStatus`], except functions that free or query something. After a status other than
+//! [`SnakeStatus::Ok`], [`snake_last_error`] gives the reason as text, separately for each thread, and the result is null
+//! or unchanged. No argument makes a function crash, as long as pointers are null or valid. Null, wrong lengths and
 //! clouds without finite points are errors, and so is a panic within the library.
 //!
-//! A [`SnakeCloud`] is read where it is and may have padding. Results belong to the caller, who frees them with the function of their
-//! type. Models can be used by several threads at the same time.
+//! A [`SnakeCloud`] is read without a copy where possible and may have padding. Results belong to the caller, who frees them with the
+//! function of their type. Several threads can use a model at the same time.
 //!
-//! This crate has `unsafe` code, as `snake-kernels` has: it reads the pointers that C gives it. Each function says what
+//! This crate has `unsafe` code, like `snake-kernels`, because it reads the pointers that C passes. Each function documents what
 //! must hold for them.
 #![allow(unsafe_code)]
 

@@ -13,7 +13,7 @@ pub struct SnakeModel {
     pub(crate) chooser: Chooser,
 }
 
-/// Puts the model of a source on the heap, or a null pointer if there is none.
+/// Stores a pointer to the loaded model in `place`, or a null pointer after an error.
 ///
 /// # Safety
 /// `place` is null or valid for a write.
@@ -98,7 +98,7 @@ pub unsafe extern "C" fn snake_model_free(model: *mut SnakeModel) {
     unsafe { free(model) }
 }
 
-/// Frees what [`Box::into_raw`] gave; null is allowed.
+/// Frees a pointer from [`Box::into_raw`]; null is allowed.
 ///
 /// # Safety
 /// `pointer` is null or from [`Box::into_raw`], and not freed yet.

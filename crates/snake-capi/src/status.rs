@@ -1,4 +1,4 @@
-//! Errors as codes, with a text for each thread.
+//! Errors as codes, with a text per thread.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -27,7 +27,7 @@ pub enum SnakeStatus {
     Internal = 6,
 }
 
-/// Why a call failed.
+/// The reason why a call failed.
 pub(crate) struct Failure {
     status: SnakeStatus,
     text: String,
@@ -63,16 +63,16 @@ thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
-/// Runs the body of a function. It keeps the text of an error, and makes a panic an error: one must not pass into C.
+/// Runs the body of a function. Stores the text of an error. Turns a panic into an error: it must not reach C.
 pub(crate) fn guarded(body: impl FnOnce() -> Result<()>) -> SnakeStatus {
     let failure = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return SnakeStatus::Ok,
         Ok(Err(failure)) => failure,
         Err(panic) => Failure::from_panic(&*panic),
     };
-    // Its length is bounded, and it has no zeros, which would end it, and no characters that control a terminal.
+    // The text has bounded length, no zeros, which would end it, and no characters that control a terminal.
     let text = CString::new(printable(&shortened(&failure.text)).as_bytes()).unwrap_or_default();
-    // A thread that is ending has no text any more; the status remains.
+    // A thread that is ending has no text; the status remains.
     let _ = LAST_ERROR.try_with(|last| last.replace(text));
     failure.status
 }

@@ -1,4 +1,4 @@
-//! The threads of all calls. Each process has its own, so that calls also work in a child after a fork.
+//! The threads of all calls. Each process has its own threads, so calls also work in a forked child.
 
 use snake_core::{Error, ProcessPool};
 
@@ -10,7 +10,7 @@ fn refused(error: Error) -> Failure {
     Failure::new(SnakeStatus::Argument, error.to_string())
 }
 
-/// Runs work on the threads of this process. On Rayon's global pool it would wait forever in a child after a fork.
+/// Runs work on the threads of this process. On Rayon's global pool, it would wait forever in a forked child.
 pub(crate) fn run<T: Send>(work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     POOL.get().map_err(refused)?.install(work)
 }

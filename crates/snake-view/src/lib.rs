@@ -1,5 +1,5 @@
-//! The page that shows a cloud with its keypoints, surface and saliency in a browser, or two clouds with the keypoints that
-//! repeat, or a registration with its matches ([`RegistrationPage`]). It is one file, and needs no server.
+//! A page that shows a cloud with its keypoints, surface and saliency in a browser; or two clouds with the keypoints
+//! that repeat; or a registration with its matches ([`RegistrationPage`]). It is a single file and needs no server.
 //!
 //! ```
 //! use snake_core::{Builtin, Chooser, Cloud, Control, Model, NamedModel};

@@ -33,10 +33,10 @@ pub fn viridis() -> [[u8; 3]; 256] {
 }
 
 impl Page {
-    /// The whole file.
+    /// The content of the HTML file.
     ///
     /// # Errors
-    /// None is known: all values can be written as JSON.
+    /// No error is known: all values can be written as JSON.
     pub fn html(&self) -> serde_json::Result<String> {
         let names: Vec<&str> = self.clouds.iter().map(|cloud| cloud.name.as_str()).collect();
         Ok(document(&format!("{}: keypoints", names.join(" + ")), &self.data()))

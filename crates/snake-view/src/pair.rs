@@ -13,14 +13,14 @@ pub struct ShownPair {
     pub t_first_second: RigidTransform,
     /// The registration that found the transform; `None` if the user gave it.
     pub registration: Option<Registration>,
-    /// A keypoint repeats if a keypoint of the other cloud is nearer than this.
+    /// A keypoint repeats if a keypoint of the other cloud is closer than this.
     pub epsilon: f64,
-    /// For each keypoint of the first cloud: the index of the keypoint of the second that repeats it, and their
-    /// distance.
+    /// For each keypoint of the first cloud, the index and the distance of the keypoint of the second that repeats
+    /// it.
     pub partners: Vec<Option<(usize, f64)>>,
 }
 
-/// The default of `epsilon`, in radii of the first cloud.
+/// The default `epsilon`, as a share of the first cloud's radius.
 const EPSILON: f64 = 0.04;
 
 impl ShownPair {
@@ -101,8 +101,8 @@ impl ShownPair {
     }
 }
 
-/// For each keypoint of the first cloud the nearest one of the second, as its index and distance, if it is closer than
-/// `epsilon`. `near` maps the second cloud to the first.
+/// For each keypoint of the first cloud, the index and the distance of the nearest keypoint of the second, if it is
+/// closer than `epsilon`. `near` maps the second cloud to the first.
 fn partners(
     first: &[Point],
     second: &[Point],
@@ -116,7 +116,7 @@ fn partners(
         return Ok(vec![None; first.len()]);
     }
     let second = Neighbors::new(second.iter().map(|&point| near.apply_vector(&vector(point))).collect())?;
-    // The lower index wins among equal distances, because the tree returns them in no fixed order.
+    // The lower index wins at equal distances.
     let nearest = |&keypoint: &Point| {
         let keypoint = vector(keypoint);
         let within = second.within(&keypoint, epsilon).into_iter();

@@ -14,7 +14,7 @@ use crate::vertices::Vertices;
 /// Colours of target and source.
 const COLORS: [[u8; 3]; 2] = [[46, 116, 181], [240, 140, 30]];
 
-/// The content of the page. Target and source are in this order: the scene is in the target's frame.
+/// The content of the page. Arrays have the target first and then the source; the scene is in the target's frame.
 pub struct RegistrationPage<'a> {
     /// The names on the page.
     pub names: [String; 2],
@@ -22,14 +22,14 @@ pub struct RegistrationPage<'a> {
     pub clouds: [&'a Cloud; 2],
     /// The registration of the source to the target; its transforms include the origins.
     pub registration: &'a Registration,
-    /// The options that it ran with.
+    /// The options of the registration.
     pub options: RegisterOptions,
     /// The options of the pair.
     pub pair_options: PairOptions,
 }
 
 impl RegistrationPage<'_> {
-    /// The whole file.
+    /// The content of the HTML file.
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent.
@@ -75,7 +75,7 @@ impl RegistrationPage<'_> {
         }))
     }
 
-    /// A cloud with the ends of the matches as its keypoints. What other pages show as saliency chooses the colour.
+    /// A cloud with the ends of the matches as its keypoints. The field for saliency selects the colour.
     fn cloud(&self, index: usize, ends: &[Point]) -> Result<Value> {
         let cloud = self.clouds[index];
         let PairOptions { source_viewpoint, target_viewpoint, .. } = self.pair_options;

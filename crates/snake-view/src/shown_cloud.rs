@@ -9,11 +9,11 @@ use snake_io as io;
 
 use crate::vertices::Vertices;
 
-/// The most points of a cloud on the page. Larger clouds are subsampled to keep the file small.
+/// Maximum number of points of a cloud on the page. Larger clouds are subsampled to keep the file small.
 const MAX_SHOWN: usize = 400_000;
 /// Numbers of samples of the surface along each axis, tried in this order until the mesh has few enough triangles.
 const SURFACE_RESOLUTIONS: [usize; 4] = [96, 64, 48, 32];
-/// The most triangles of a surface on the page.
+/// Maximum number of triangles of a surface on the page.
 const MAX_TRIANGLES: usize = 100_000;
 
 /// A cloud with its field, surface and keypoints.
@@ -22,7 +22,7 @@ pub struct ShownCloud {
     pub name: String,
     /// Offset to add to all positions of the cloud.
     pub origin: [f64; 3],
-    /// The field of all its points.
+    /// The field of the whole cloud.
     pub field: Field,
     /// The points that the page shows.
     pub shown: Vec<Point>,
@@ -32,14 +32,14 @@ pub struct ShownCloud {
     pub saliency: [Vec<f32>; 2],
     /// Its keypoints.
     pub detection: Detection,
-    /// Why its keypoints are few.
+    /// Why there are few keypoints.
     pub note: Option<String>,
-    /// Annotated keypoints to show beside them, relative to the origin.
+    /// Annotated keypoints to show beside the detected ones, relative to the origin.
     pub annotations: Vec<Point>,
 }
 
 impl ShownCloud {
-    /// Encodes a cloud by its model, detects its keypoints and computes everything that the page shows of it.
+    /// Encodes a cloud with its model, detects its keypoints and computes everything that the page shows.
     ///
     /// # Errors
     /// The errors of [`Chosen::detect`].
@@ -60,7 +60,7 @@ impl ShownCloud {
         self.detection.keypoints.iter().map(|keypoint| keypoint.position).collect()
     }
 
-    /// A text where points were left out or keypoints are few.
+    /// A text if points were left out or if there are few keypoints.
     pub fn hint(&self) -> Option<String> {
         self.field.findings().into_iter().chain(self.note.clone()).reduce(|first, second| format!("{first}; {second}"))
     }
@@ -100,8 +100,8 @@ impl ShownCloud {
         })
     }
 
-    /// The surface, if there is one. Normals are four signed bytes, x y z and padding, each 127 times its value.
-    /// Triangles are indices of 32 bits. Both are base64.
+    /// The surface, if there is one. A normal is four signed bytes: x, y and z times 127, and padding. Triangles
+    /// are 32-bit indices. Both are base64.
     fn surface_data(&self) -> Option<Value> {
         let Mesh { vertices, normals, triangles, .. } = &self.surface;
         let normals = normals.iter().flat_map(|[x, y, z]| [*x, *y, *z, 0.0].map(|v| (v * 127.0).round() as i8 as u8));
@@ -117,7 +117,7 @@ impl ShownCloud {
     }
 }
 
-/// Every n-th point, so that the page has few enough.
+/// Every n-th point, with the smallest n that gives few enough points.
 pub(crate) fn subsample(points: &[Point]) -> Vec<Point> {
     points.iter().step_by(points.len().div_ceil(MAX_SHOWN).max(1)).copied().collect()
 }

@@ -4,16 +4,16 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use snake_geometry::{Point, add_origin};
 
-/// Quantised vertices. Positions have 16 bits within their bounding box, `low + (high - low) q / 65535`, and saliency
-/// has 8 bits within [0, 1]. The error is below a pixel of any screen, and the size is a third of that of floats.
+/// Quantised vertices. Positions have 16 bits within their bounding box, `low + (high - low) q / 65535`; saliency has
+/// 8 bits within [0, 1]. The error is below a pixel of any screen, and the size is a third of that of floats.
 #[derive(serde::Serialize)]
 pub(crate) struct Vertices {
     count: usize,
     low: [f64; 3],
     high: [f64; 3],
-    /// Little-endian, x y z of one vertex after the other; base64.
+    /// Little-endian, x y z of one vertex after another; base64.
     positions: String,
-    /// One byte each; base64.
+    /// One byte per vertex; base64.
     saliency: String,
 }
 
