@@ -12,7 +12,7 @@ use snake_io::ReadOptions;
 use crate::error::{py_error, value_error};
 use crate::files;
 
-/// Rows `(N, 3)` of an array. They are `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
+/// Rows `(N, 3)` of an array: `float32` for arrays of `float32` or `float16`, else `float64`, which holds the
 /// coordinates of georeferenced scans.
 pub enum Rows<'py> {
     Single(PyReadonlyArray2<'py, f32>),
@@ -35,7 +35,7 @@ pub enum Positions {
 
 impl Rows<'_> {
     /// Copies the rows, relative to an origin if they are far from zero, and returns their type. The GIL must be held,
-    /// because another thread may write into the array once it is released.
+    /// because another thread may write to the array once it is released.
     pub fn cloud(&self) -> PyResult<(Cloud, Precision)> {
         Ok(match self {
             Self::Single(rows) => {
@@ -73,7 +73,7 @@ impl Positions {
         })
     }
 
-    /// The array.
+    /// The numpy array.
     pub fn bind<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         match self {
             Self::Single(array) => array.bind(py).clone().into_any(),
@@ -83,8 +83,8 @@ impl Positions {
 }
 
 /// The first three columns of an array of real numbers. The value is anything that numpy converts to such an array
-/// (numpy arrays, torch tensors, vectors of Open3D, vertices of trimesh), or an object with such `points` or
-/// `vertices`. Masked rows become NaN. The conversion of numpy handles types, strides, byte order and alignment.
+/// (numpy arrays, torch tensors, Open3D vectors, trimesh vertices), or an object with such `points` or `vertices`.
+/// Masked rows become NaN. numpy's conversion handles types, strides, byte order and alignment.
 pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'py>> {
     let (py, numpy) = (value.py(), value.py().import("numpy")?);
     let given = with_rows(as_array(&numpy, what, value)?)?;
@@ -122,7 +122,7 @@ pub fn given_rows<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Rows<'
     })
 }
 
-/// An organised array `(H, W, C)` as its rows `(H W, C)`, in the order of `reshape`. Other arrays stay as they are.
+/// The rows `(H W, C)` of an organised array `(H, W, C)`, in the order of `reshape`. Other arrays stay as they are.
 fn with_rows(given: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
     match *given.cast::<PyUntypedArray>()?.shape() {
         [height, width, columns] if (3..=MAX_COLUMNS).contains(&columns) => {
@@ -132,7 +132,7 @@ fn with_rows(given: Bound<PyAny>) -> PyResult<Bound<PyAny>> {
     }
 }
 
-/// The most columns that rows of points are believed to have; more are the points of a transposed array.
+/// Maximum number of columns of rows of points. More columns are the points of a transposed array.
 const MAX_COLUMNS: usize = 16;
 
 /// A rigid transform (4, 4).
@@ -145,7 +145,7 @@ pub fn transform(what: &str, value: &Bound<PyAny>) -> PyResult<RigidTransform> {
     })
 }
 
-/// The rows of an array, without an origin subtracted.
+/// The rows of an array, without subtracting an origin.
 pub fn points(what: &str, value: &Bound<PyAny>) -> PyResult<Vec<Point>> {
     given_rows(what, value)?.relative_to([0.0; 3])
 }
@@ -156,9 +156,9 @@ pub fn cloud(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision)> {
     Ok((cloud, precision))
 }
 
-/// [`cloud`] with the notes on the file.
+/// [`cloud`] with the notes about the file.
 pub fn cloud_with_notes(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Precision, Vec<String>)> {
-    // A text is a path. Other values may convert to one only if they say so, as pathlib's do.
+    // A text is a path. Other values are paths only if they say so, as pathlib's do.
     if value.is_instance_of::<PyString>() || value.hasattr("__fspath__")? {
         let contents = files::contents(value.py(), value.extract()?, ReadOptions::default())?;
         return Ok((contents.cloud, Precision::Double, contents.notes));
@@ -182,7 +182,7 @@ pub fn list_of_clouds<'py>(value: &Bound<'py, PyAny>) -> PyResult<Option<Vec<Bou
 }
 
 /// Converts a value, or its points or vertices, to a numpy array. The points are the attribute `xyz` (laspy), `positions`
-/// within `point` (tensor clouds of Open3D), `points` or `vertices`.
+/// in `point` (Open3D tensor clouds), `points` or `vertices`.
 fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     if let Some(columns) = columns_of_frame(what, value)? {
         return converted(numpy, what, &columns);
@@ -205,8 +205,8 @@ fn as_array<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, Py
     with_columns(numpy, array)
 }
 
-/// The columns x, y and z of a frame of pandas or polars, or of a table of Arrow, in any order; `None` for anything else, and
-/// for a frame whose columns have numbers. Other names are refused, because the first three columns may be anything.
+/// The columns x, y and z, in any order, of a pandas or polars frame or an Arrow table. `None` for anything else, and for
+/// a frame whose columns are numbered. Other names are refused, because the first three columns may be anything.
 fn columns_of_frame<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>> {
     let Some(names) = value.getattr_opt("column_names")?.or(value.getattr_opt("columns")?) else { return Ok(None) };
     let Ok(names) = names.try_iter() else { return Ok(None) };
@@ -229,7 +229,7 @@ fn columns_of_frame<'py>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Opti
     Ok(Some(chosen))
 }
 
-/// The names of the columns of points.
+/// The names of the columns with coordinates.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// An array whose rows have the named fields x, y and z, as `(N, 3)`. Other arrays stay as they are.
@@ -246,7 +246,7 @@ fn with_columns<'py>(numpy: &Bound<'py, PyModule>, array: Bound<'py, PyAny>) -> 
 /// Converts a value to a numpy array, without a copy where possible. An exception from the value's own conversion is
 /// passed on unchanged. An exception from numpy becomes a ValueError that begins with `what`.
 fn converted<'py>(numpy: &Bound<'py, PyModule>, what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    // A tensor that records its gradient, or lies on another device, has no array.
+    // A tensor that records its gradient, or that is on another device, has no array.
     let tensor =
         if value.hasattr("requires_grad")? { &value.call_method0("detach")?.call_method0("cpu")? } else { value };
     let value = tensor;

@@ -29,8 +29,8 @@ fn responses<'py>(
     Ok((arrays::values(py, indices), arrays::values(py, scores)))
 }
 
-/// Defines the functions of detectors with options: documentation, name, function of the crate, struct of options, and the
-/// file of their help.
+/// Defines the functions for detectors with options: documentation, name, function of the crate, struct of options, and
+/// the file of their help.
 macro_rules! baselines {
     ($($(#[doc = $doc:literal])+ $name:ident, $detect:ident, $options:ident, $help:literal;)+) => { $(
         $(#[doc = $doc])+

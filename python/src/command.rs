@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 pub fn run_command(py: Python<'_>, words: Vec<OsString>) -> u8 {
     py.detach(|| {
         let code = snake_keypoints::run(&words);
-        // Only the end of a Rust program flushes it.
+        // Rust flushes it only at the end of a Rust program.
         let _ = std::io::stdout().flush();
         code
     })

@@ -10,7 +10,7 @@ pub fn value_error(text: &str) -> PyErr {
 }
 
 /// The exception for an error of the core. `Io` becomes an OSError with errno and file name, which gives
-/// FileNotFoundError and similar subclasses, a missed deadline a TimeoutError. Any other error becomes a ValueError.
+/// FileNotFoundError and similar subclasses. A missed deadline becomes a TimeoutError, any other error a ValueError.
 pub fn py_error(error: Error) -> PyErr {
     match error {
         Error::Io { path, source } => {
@@ -23,7 +23,7 @@ pub fn py_error(error: Error) -> PyErr {
     }
 }
 
-/// The exception for an error of a run in tiles, by the same rule.
+/// The exception for an error of a run in tiles, by the same rules.
 pub fn tiles_error(error: snake_tiles::Error) -> PyErr {
     match error {
         snake_tiles::Error::Core(error) => py_error(error),

@@ -11,7 +11,7 @@ use crate::keypoints::Keypoints;
 use crate::mesh::Mesh;
 use crate::{arrays, options, threads, warn};
 
-/// Queries between two looks at signals: some hundredths of a second.
+/// Number of queries between two checks for signals: some hundredths of a second.
 const QUERIES_PER_PART: usize = 1 << 14;
 
 /// Values and gradients of Q queries.
@@ -59,7 +59,7 @@ impl Field {
         })
     }
 
-    /// The cloud as it was given: points that were skipped are NaN.
+    /// The given cloud, with NaN for points that were skipped.
     fn given_points(&self) -> Vec<Point> {
         let mut given = vec![[f32::NAN; 3]; self.core.points().len() + self.core.num_skipped()];
         for (index, point) in self.core.points().iter().enumerate() {
@@ -72,7 +72,7 @@ impl Field {
         arrays::given_rows("queries", queries)?.relative_to(self.origin)
     }
 
-    /// The answers to all queries, part by part without the GIL: a signal ends the call after a part.
+    /// The answers to all queries, computed part by part without the GIL. A signal ends the call after a part.
     fn answers<T: Send>(
         &self,
         queries: &Bound<PyAny>,

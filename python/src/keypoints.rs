@@ -110,7 +110,7 @@ pub struct Keypoints {
 }
 
 impl Keypoints {
-    /// The keypoints of a cloud by the model that was chosen for it. `notes` are those on the choice.
+    /// The keypoints of a cloud, detected by the model that was chosen for it. `notes` are about this choice.
     pub fn chosen(
         py: Python<'_>,
         detection: Detection,
@@ -127,7 +127,7 @@ impl Keypoints {
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)
     }
 
-    /// The name of the model that found them, if it is known.
+    /// The name of the model that found them; `None` if it is not known.
     pub fn model(&self) -> Option<&str> {
         self.model.as_deref()
     }
@@ -164,7 +164,7 @@ impl Keypoints {
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
             model,
-            // 0.1 and not its nearest float32.
+            // 0.1 instead of its nearest float32.
             voxel_size: voxel_size.and_then(|size| size.to_string().parse().ok()),
             notes,
             cloud: cloud.map(Arc::new),

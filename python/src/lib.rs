@@ -90,7 +90,7 @@ fn detect(
     }
     let (cloud, precision, mut notes) = arrays::cloud_with_notes("points", points)?;
     let chosen = threads::run(py, || chooser.for_cloud(&cloud))?;
-    // Before the detection, which may take minutes at the wrong scale.
+    // Warns before the detection, which may take minutes at the wrong scale.
     warn(py, chosen.notes())?;
     notes.extend(chosen.notes());
     let detection = threads::run_watched(py, watch, |control| chosen.detect(control))?;
@@ -137,7 +137,7 @@ fn detect_all(py: Python<'_>, given: &[Bound<'_, PyAny>], chooser: &Chooser, wat
     detections.into_iter().zip(chosen).zip(&clouds).map(keypoints).collect()
 }
 
-/// Gives a UserWarning of each text.
+/// Gives each text as a UserWarning.
 fn warn(py: Python<'_>, texts: impl IntoIterator<Item = impl AsRef<str>>) -> PyResult<()> {
     let module = py.import("warnings")?;
     texts.into_iter().try_for_each(|text| module.call_method1("warn", (text.as_ref(),)).map(drop))
@@ -187,17 +187,17 @@ mod _core {
         register, scene_signs, set_num_threads, tiles,
     };
 
-    /// Fills what pyo3, numpy and the kernels fill at their first use. While that happens the GIL is released, and a child
-    /// forked meanwhile would wait forever.
+    /// Initialises what pyo3, numpy and the kernels would initialise at their first use. During that the GIL is released,
+    /// and a child forked at that time would wait forever.
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         let points = super::arrays::rows(module.py(), vec![0_f64; 3], 3)?;
         super::arrays::cloud("points", points.as_any())?;
-        // Reading an option tries every type that it can have, also those of numpy.
+        // Reading an option tries every type that it can have, including numpy's types.
         super::options::json(points.as_any(), 0);
         snake_core::SimdLevel::current();
         super::records::add_classes(module)?;
-        // The stub has the names; the public ones are in `snake_rs.__all__`.
+        // The stub has all names; the public ones are in `snake_rs.__all__`.
         module.delattr("__all__")
     }
 

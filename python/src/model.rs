@@ -25,7 +25,7 @@ pub struct Model {
 /// The source from which a model is restored when it is unpickled.
 enum Origin {
     Builtin(String),
-    /// The content of a file, and its name where it is known.
+    /// The content of a file, and its name if it is known.
     File(Arc<Vec<u8>>, Option<String>),
 }
 
@@ -50,13 +50,13 @@ impl Model {
     }
 }
 
-/// The choice of calls without a model, which loads each built-in model once.
+/// The chooser for calls without a model, which loads each built-in model once.
 fn automatic() -> &'static core::Chooser {
     static CHOOSER: OnceLock<core::Chooser> = OnceLock::new();
     CHOOSER.get_or_init(core::Chooser::default)
 }
 
-/// The chooser of model and options for each cloud of a call, for given values of options.
+/// The chooser of model and options for each cloud of a call, with the given values of options.
 pub fn chooser(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
@@ -69,7 +69,7 @@ pub fn chooser(
     chooser.with_values(values).map_err(py_error)
 }
 
-/// The model for a registration to a cloud: the given one, or the one that the cloud has if the options run one.
+/// The model for a registration to a cloud, if the options run a model: the given one, or the one that suits the cloud.
 pub fn for_registration(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
@@ -82,7 +82,7 @@ pub fn for_registration(
     threads::run(py, || Ok(Some(chooser.for_cloud(cloud)?.model)))
 }
 
-/// Whether a value is meant as a model and not as a cloud: a `Model`, the name of one, or the path of a weight file.
+/// Whether a value is a model and not a cloud: a `Model`, the name of a model, or the path of a weight file.
 pub fn is_model(value: &Bound<PyAny>) -> bool {
     value.is_instance_of::<Model>()
         || value.extract::<PathBuf>().is_ok_and(|path| {

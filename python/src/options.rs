@@ -29,7 +29,7 @@ pub fn resolve(
     recommended.resolve(&values(function, parts, given)?).map_err(py_error)
 }
 
-/// The keywords of one call as JSON, `preset` included, each of the right type. Each must belong to one of the `parts`.
+/// The keywords of one call as JSON, including `preset`, with the right types. Each must belong to one of the `parts`.
 pub fn values(function: &str, parts: &[&str], given: Option<&Bound<PyDict>>) -> PyResult<Map<String, Value>> {
     let mut values = Map::new();
     let mut tree = tree(&Options::default())?;
@@ -58,7 +58,7 @@ fn options_of<'a>(tree: &'a Value, part: &str) -> impl Iterator<Item = &'a Strin
     entries.filter(|(_, value)| !value.is_object()).map(|(name, _)| name)
 }
 
-/// The options of a function without presets: the defaults, overridden by the keywords. They may be a pair of structs.
+/// The options of a function without presets: the defaults, overridden by the keywords. `T` may be a pair of structs.
 pub fn of<T: Default + Serialize + DeserializeOwned>(function: &str, given: Option<&Bound<PyDict>>) -> PyResult<T> {
     let mut options = T::default();
     let mut tree = serde_json::to_value(&options).map_err(|e| PyValueError::new_err(e.to_string()))?;
@@ -109,7 +109,7 @@ fn tree(preset: &Options) -> PyResult<Value> {
     serde_json::to_value(preset).map_err(|e| PyValueError::new_err(e.to_string()))
 }
 
-/// JSON as Python's objects. Numbers keep their bits.
+/// Converts JSON to Python objects. Numbers keep their bits.
 pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
         Value::Null => py.None().into_bound(py),
@@ -133,11 +133,11 @@ pub fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyA
     })
 }
 
-/// The number of items that a sequence can have: a matrix has four rows of four.
+/// Maximum number of items of a sequence: a matrix has four rows of four.
 const MAX_ITEMS: usize = 16;
 
-/// Converts None, bool, str and finite numbers, including numpy's, to JSON, and sequences of them that are nested at most
-/// `depth` times. Any other value gives `None`.
+/// Converts None, bool, str and finite numbers, including numpy's, and sequences of them that are nested at most `depth`
+/// times, to JSON. Any other value gives `None`.
 pub fn json(value: &Bound<PyAny>, depth: usize) -> Option<Value> {
     if value.is_none() {
         Some(Value::Null)

@@ -43,7 +43,7 @@ pub fn page(
     t_first_second: Option<&Bound<'_, PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<String> {
-    // `view(points, "scenes")` names a model, `view(a, b)` a cloud.
+    // `view(points, "scenes")` names a model, and `view(a, b)` a second cloud.
     let (second, model) = match second {
         Some(value) if model.is_none() && model::is_model(value) => (None, second),
         _ => (second, model),
@@ -65,7 +65,7 @@ pub fn page(
     clouds.extend(second.map(|second| named(None, "second", second, "second")).transpose()?);
     let page = threads::run_with_signals(py, |control| {
         let mut shown: Vec<ShownCloud> = Vec::new();
-        // Both clouds of a pair have the model that suits the first.
+        // Both clouds of a pair use the model that suits the first.
         let first = chooser.for_cloud(&clouds[0].1)?;
         shown.push(ShownCloud::detect(&first, clouds[0].0.clone(), control)?);
         for (name, cloud) in &clouds[1..] {

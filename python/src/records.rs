@@ -1,4 +1,4 @@
-//! Results as objects of Python: their classes and documentation follow from the tables of the core, their values from its JSON.
+//! Results as Python objects: classes and documentation come from the core's tables, values from its JSON.
 
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -21,7 +21,7 @@ pub fn add_classes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     Ok(())
 }
 
-/// A result as an object of its class.
+/// Converts a result to an object of its class.
 pub fn to_python<'py, T: Record + Serialize>(py: Python<'py>, result: &T) -> PyResult<Bound<'py, PyAny>> {
     let value = serde_json::to_value(result).map_err(|error| PyValueError::new_err(error.to_string()))?;
     object(py, T::INFO, &value)
@@ -53,7 +53,7 @@ fn converted<'py>(py: Python<'py>, kind: &RecordKind, value: &Value) -> PyResult
     }
 }
 
-/// Whether a list of these is a matrix.
+/// Whether a list of such items is a matrix.
 fn is_row(kind: &RecordKind) -> bool {
     matches!(kind, RecordKind::List(item) if matches!(**item, RecordKind::Number))
 }

@@ -1,4 +1,4 @@
-//! Files behind URLs: COPC files are read by ranges of bytes, others are copied.
+//! Files behind URLs: COPC files are read by byte ranges, other files are copied.
 
 use std::io;
 use std::ops::Range;
@@ -14,14 +14,14 @@ use crate::error::py_error;
 
 /// The files of a cloud.
 pub enum Inputs {
-    /// COPC files, at least one of them behind a URL; and the objects that read those behind URLs, or paths.
+    /// COPC files, at least one of them behind a URL; and for each the object that reads it behind a URL, or its path.
     Copc(Vec<Copc>, Vec<Py<PyAny>>),
     /// Files on disk.
     Local(Vec<PathBuf>),
 }
 
 impl Inputs {
-    /// Lists the folders and opens the files behind URLs. If not all files are COPC files, they are copied to the folder.
+    /// Lists the folders and opens the files behind URLs. If not all files are COPC files, copies them to the folder.
     pub fn new(
         py: Python<'_>,
         paths: Vec<PathBuf>,
@@ -33,7 +33,7 @@ impl Inputs {
         let module = py.import("snake_rs._remote")?;
         let mut expanded = Vec::new();
         for path in paths {
-            // Only the end of a URL tells a folder: to ask a web server could read a whole file.
+            // A URL is a folder only if it ends with a slash: asking a web server could read a whole file.
             if path.is_dir() || url(&path).is_some_and(|url| url.ends_with('/')) {
                 let clouds = module
                     .call_method1("clouds_in", (path.as_os_str(), POINT_EXTENSIONS.to_vec(), &storage_options))?;
@@ -62,7 +62,7 @@ impl Inputs {
         Ok(Self::Local(paths.iter().zip(&files).map(local).collect::<PyResult<_>>()?))
     }
 
-    /// The part that a pickle of the tiles needs.
+    /// The files that a pickle of the tiles needs.
     pub fn remote(&self, py: Python<'_>) -> Vec<Py<PyAny>> {
         match self {
             Self::Copc(_, files) => files.iter().map(|file| file.clone_ref(py)).collect(),
@@ -71,7 +71,7 @@ impl Inputs {
     }
 }
 
-/// Opens files, given by their paths or as `RemoteFile`; `None` when not all are COPC files, or without files.
+/// Opens files, given as paths or as `RemoteFile`. `None` if not all of them are COPC files, or without files.
 pub fn open_all(py: Python<'_>, files: &[Py<PyAny>]) -> PyResult<Option<Vec<Copc>>> {
     if files.is_empty() {
         return Ok(None);
@@ -86,7 +86,7 @@ pub fn open_all(py: Python<'_>, files: &[Py<PyAny>]) -> PyResult<Option<Vec<Copc
     files.iter().map(open).collect()
 }
 
-/// A file that Python reads.
+/// A file that is read by a Python object.
 #[derive(Debug)]
 struct RemoteFile {
     url: PathBuf,

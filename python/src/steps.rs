@@ -18,7 +18,7 @@ use crate::threads;
 /// Values (Q,), derivatives (Q, 3) and derivatives (Q, c_dim).
 type Decoded<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>, Bound<'py, PyArray2<f32>>);
 
-/// The values of an array of real numbers of the given shape, in C order, with the shape. A length of -1 is any.
+/// The values of an array of real numbers with the given shape, in C order, and its shape. A length of -1 fits any length.
 fn values(what: &str, value: &Bound<PyAny>, shape: &[isize]) -> PyResult<(Vec<f32>, Vec<usize>)> {
     let numpy = value.py().import("numpy")?;
     let converted = || -> PyResult<PyReadonlyArrayDyn<f32>> {
@@ -36,7 +36,7 @@ fn values(what: &str, value: &Bound<PyAny>, shape: &[isize]) -> PyResult<(Vec<f3
     Ok((array.as_slice()?.to_vec(), array.shape().to_vec()))
 }
 
-/// A volume (C, D, H, W) with its channels last.
+/// Converts a volume (C, D, H, W) to channels last.
 fn volume(value: &Bound<PyAny>) -> PyResult<Vec<f32>> {
     let numpy = value.py().import("numpy")?;
     let array = numpy.call_method1("asarray", (value,))?;

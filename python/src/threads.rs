@@ -9,11 +9,11 @@ use snake_core::{CancelFlag, Control, ProcessPool, Progress, Result, max_num_thr
 
 use crate::error::{py_error, value_error};
 
-/// Python forks with the GIL held, and this pool is only asked for together with the GIL: a child never inherits its lock.
+/// Python forks with the GIL held, and this pool is only used with the GIL held, so a child never inherits its lock.
 static POOL: ProcessPool = ProcessPool::new();
 
 /// Runs work of the core on this process's threads, with the GIL released. Every call of the core that may compute in
-/// parallel goes through here: on Rayon's global pool it would wait forever in a forked child.
+/// parallel must use it: on Rayon's global pool, the call would wait forever in a forked child.
 pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     let pool = POOL.get().map_err(py_error)?;
     py.detach(|| pool.install(work)).map_err(py_error)
@@ -22,7 +22,7 @@ pub fn run<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> 
 /// Interval at which a call checks for signals: Ctrl-C must end the call within 0.2 s.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The deadline of a call, and whom it tells of its progress.
+/// The deadline of a call, and the function that is told of its progress.
 #[derive(Default)]
 pub struct Watch {
     deadline: Option<Instant>,
@@ -41,15 +41,15 @@ impl Watch {
     }
 }
 
-/// Like [`run`], for long work that can be cancelled, see [`run_watched`].
+/// [`run`] for long work that can be cancelled, see [`run_watched`].
 pub fn run_with_signals<T: Send>(py: Python<'_>, work: impl FnOnce(&Control) -> Result<T> + Send) -> PyResult<T> {
     run_watched(py, Watch::default(), work)
 }
 
-/// Like [`run`], for long work that can be cancelled and watched. Python runs signal handlers only in its main thread and only
+/// [`run`] for long work that can be cancelled and watched. Python runs signal handlers only in its main thread and only
 /// between its own instructions, so the calling thread takes the GIL every `SIGNAL_INTERVAL` to let them run. An
-/// exception from a handler, such as KeyboardInterrupt, cancels the work and is raised when the work has stopped. Progress is
-/// told at the same times, and at the end.
+/// exception from a handler, such as KeyboardInterrupt, cancels the work and is raised when the work has stopped. Progress
+/// is reported at the same times, and at the end.
 pub fn run_watched<T: Send>(
     py: Python<'_>,
     watch: Watch,

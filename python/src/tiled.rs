@@ -65,7 +65,7 @@ pub fn tiles(
     })
 }
 
-/// A path or several.
+/// One path or several.
 #[derive(FromPyObject)]
 pub enum Paths {
     One(PathBuf),
@@ -80,7 +80,7 @@ pub enum Paths {
 pub struct Tiles {
     run: Arc<TiledRun>,
     model: Py<Model>,
-    /// The files that are read by ranges, which the pickle needs.
+    /// The files that are read by byte ranges, which the pickle needs.
     remote: Vec<Py<PyAny>>,
 }
 
