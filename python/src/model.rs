@@ -69,7 +69,7 @@ pub fn chooser(
     chooser.with_values(values).map_err(py_error)
 }
 
-/// The model for a registration to a cloud, if the options run a model: the given one, or the one that suits the cloud.
+/// The model for a registration to a cloud: the given one, or if the options run a model the one that suits the cloud.
 pub fn for_registration(
     py: Python<'_>,
     model: Option<&Bound<'_, PyAny>>,
