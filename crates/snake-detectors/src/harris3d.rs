@@ -20,7 +20,7 @@ options! {
     }
 }
 
-/// Smaller responses count as 0: a flat neighbourhood has 0 up to rounding, and no local maximum.
+/// Local maxima have a response above this. A flat neighbourhood has a response of 0 up to rounding.
 const FLAT: f64 = 1e-12;
 
 /// Harris 3D keypoints, by falling score.

@@ -21,7 +21,7 @@ pub enum VolumeShape {
     /// Voxels of a given size wherever the points of a scene reach
     /// ([`EncodeOptions::voxel_size`](crate::EncodeOptions::voxel_size)).
     Scene {
-        /// The total weight of points below which a voxel counts their features less.
+        /// A voxel's sum of features is divided by its total weight, but at least by this.
         scatter_mass: f32,
     },
 }

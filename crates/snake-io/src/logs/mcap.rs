@@ -11,7 +11,7 @@ use crate::logs::message::{Message, Messages};
 use crate::logs::records::{MAGIC, Record, kind};
 use crate::{Error, MAX_EXPANSION, Result};
 
-/// The topics and the schemas of their messages, in the order of the file. Damage is reported when messages are read.
+/// The topics and the schemas of their messages, in the order of the file. Damage is an error only without topics.
 pub(crate) fn topics(path: &Path) -> Result<Vec<(String, String)>> {
     let mut topics: Vec<(String, String)> = Vec::new();
     let mut first_error = None;

@@ -122,7 +122,7 @@ impl Columns {
     }
 }
 
-/// The columns of x, y and z in a header: the first known set whose names each occur exactly once.
+/// The columns of x, y and z in a header: the first known set whose names all occur; `None` if one occurs twice.
 pub(crate) fn known(names: &[String]) -> Option<Indices> {
     let plain: Vec<String> = names.iter().map(|name| plain(name)).collect();
     let count = |name: &str| plain.iter().filter(|known| *known == name).count();
