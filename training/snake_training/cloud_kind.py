@@ -15,7 +15,7 @@ from snake_rs._core import scene_signs
 from .arguments import option, parser_of
 from .data.landmarks import landmarks
 from .data.sensors import scene_cloud
-from .data.shapes import Procedural
+from .data.shapes import Procedural, primitive, sample_surface
 from .data.views import FRAMES, bare_room, one_sided, table_top
 from .data.worlds import any_turn
 
@@ -23,13 +23,13 @@ LIMIT = 3.0  # standard deviations: signs beyond count as much
 
 
 def signs(clouds):
-    """The signs (N, 12) of clouds, without those of clouds that are too small."""
+    """The signs (N, 13) of clouds, without those of clouds that are too small."""
     found = (scene_signs(np.ascontiguousarray(cloud, dtype=np.float32)) for cloud in clouds)
     return np.array([row for row in found if row is not None])
 
 
-def objects(folder, start, step):
-    """Objects of a corpus, from one on."""
+def objects(folder, start=0, step=1):
+    """Objects of a corpus, every so many from one on."""
     points = np.load(folder / "points.npy", mmap_mode="r")
     return [points[index] / np.float32(32767) for index in range(start, len(points), step)]
 
@@ -72,12 +72,25 @@ def varied(cloud, rng):
     return cloud
 
 
-def training_groups(corpus, made, step, rng):
-    """(signs (N, 12), whether these are scenes) of the clouds of the fit, by name."""
-    whole = objects(corpus / "objects/train", 0, step)
+def in_any_frame(cloud, rng):
+    """The cloud (N, 3) about its middle, with a corner of its box at the origin, or elsewhere; at times turned."""
+    cloud = cloud @ any_turn(rng).T if rng.random() < 0.5 else cloud
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
+    return cloud - [(low + high) / 2, low, low + (high - low) * 10 * rng.normal(size=3)][rng.integers(3)]
+
+
+def solid(rng):
+    """Points (N, 3) of a box, cone, ring, plate or tube in any frame."""
+    number = int(np.exp(rng.uniform(np.log(600), np.log(60000))))
+    return in_any_frame(sample_surface(primitive(rng, np.exp(rng.uniform(-2.3, 0, 3))), number, rng), rng)
+
+
+def training_groups(corpus, made, rng):
+    """(signs (N, 13), whether these are scenes) of the clouds of the fit, by name."""
+    whole = [in_any_frame(cloud, rng) for cloud in objects(corpus / "objects/train")]
     thin = [cloud[:600] + rng.normal(0, 0.02, (600, 3)) for cloud in whole[::4]]
-    rings = [torus(rng) for _ in range(made // 4)]
-    views = [one_sided(cloud, rng) for cloud in objects(corpus / "objects/train", 1, step)]
+    others = [torus(rng) for _ in range(made // 4)] + [landmarks("box", rng)[0] for _ in range(made // 10)]
+    views = [one_sided(cloud, rng) for cloud in objects(corpus / "objects/train", 1)]
     views += [one_sided(landmarks(name, rng)[0], rng) for name in ("box", "nut") for _ in range(made // 2)]
     views += [one_sided(cloud / 2, rng) for cloud, _ in zip(Procedural(), range(made))]
     worlds = []
@@ -85,11 +98,15 @@ def training_groups(corpus, made, step, rng):
         make = {0: bare_room, 1: table_top, 4: bare_room}.get(number % 8, lambda rng: scene_cloud(rng)[1])
         cloud = make(rng)
         worlds += [varied(cloud, rng) for _ in range(2)] if len(cloud) > 300 else []
-    rooms = (varied(cloud, rng) for cloud in scenes(corpus / "scenes/train") * 2)
+    solids = (solid(rng) for _ in range(made))
+    closed = (varied(bare_room(rng, closed=True), rng) for _ in range(made // 10))
+    rooms = (varied(cloud, rng) for cloud in scenes(corpus / "scenes/train") * 4)
     return {
-        "objects": (signs(whole + thin + rings), False),
+        "objects": (signs(whole + thin + others), False),
         "views of objects": (signs(views), False),
+        "solids": (signs(solids), False),
         "made scenes": (signs(worlds), True),
+        "closed rooms": (signs(closed), True),
         "scenes": (signs(rooms), True),
     }
 
@@ -99,9 +116,11 @@ def judging_groups(corpus, rng):
     folder = corpus / "objects/val"
     chosen = objects(folder, 7, 14)
     groups = {f"judging: views, {frame}": (signs(one_sided(c, rng, frame) for c in chosen), False) for frame in FRAMES}
-    groups["judging: objects"] = (signs(objects(folder, 0, 1)), False)
+    groups["judging: objects"] = (signs(in_any_frame(cloud, rng) for cloud in objects(folder)), False)
+    groups["judging: solids"] = (signs(solid(rng) for _ in range(100)), False)
     clouds = scenes(corpus / "scenes/val")
     groups["judging: scenes"] = (signs(clouds), True)
+    groups["judging: closed rooms"] = (signs(bare_room(rng, closed=True) for _ in range(60)), True)
     groups["judging: parts of scenes"] = (signs(part(cloud, rng) for cloud in clouds[:36:2]), True)
     return groups
 
@@ -123,7 +142,7 @@ class Rule:
         return self.columns(rows) @ self.weights[:-1] + self.weights[-1]
 
 
-def fit(groups, penalty=1e-3):
+def fit(groups, penalty=3e-4):
     """The rule by groups of signs (N, K) and whether these are scenes.
 
     Each class is as important as the other, and a group of a class counts by the root of its number of clouds.
@@ -152,13 +171,12 @@ def fit(groups, penalty=1e-3):
 def main(argv=None):
     words = {
         "corpus": dict(type=Path, help="folder with objects and scenes, train and val"),
-        "--made": option(200, "made scenes, and views of made objects"),
-        "--step": option(2, "take every so many of the objects"),
+        "--made": option(400, "made scenes, and views of made objects"),
         "--seed": option(1, "of the choices"),
     }
     arguments = parser_of("cloud_kind", __doc__, words).parse_args(argv)
     rng = np.random.default_rng(arguments.seed)
-    groups = training_groups(arguments.corpus, arguments.made, arguments.step, rng)
+    groups = training_groups(arguments.corpus, arguments.made, rng)
     rule = fit(list(groups.values()))
     for values in (rule.mean, rule.deviation, rule.weights):
         print("[" + ", ".join(f"{value:.4g}" for value in values) + "]")

@@ -84,23 +84,24 @@ def table_top(rng):
     return whole_view(world, View(np.broadcast_to(eye, rays.shape), rays, *limits), rng) - eye
 
 
-def bare_surface(rng):
-    """The patches of a floor, one to three walls and one to six boxes, in metres."""
+def bare_surface(rng, closed=False):
+    """The patches of a floor with one to three walls and one to six boxes, or closed: with a ceiling and up to six, in metres."""
     x, y, height = rng.uniform((1, 1, 2), (3.5, 3.5, 3))
     bottom = np.array([(x, -y, 0), (-x, -y, 0), (-x, y, 0), (x, y, 0)])
     floor = bottom[[[0, 1], [3, 2]]]
-    walls = [np.stack([bottom[side : side + 2], bottom[side : side + 2] + (0, 0, height)]) for side in range(3)]
-    patches = [floor, *walls[: rng.integers(1, 4)]]
-    for _ in range(rng.integers(1, 7)):
+    sides = [bottom[[side, (side + 1) % 4]] for side in range(4)]
+    walls = [np.stack([side, side + (0, 0, height)]) for side in sides]
+    patches = [floor, floor + (0, 0, height), *walls] if closed else [floor, *walls[: rng.integers(1, 4)]]
+    for _ in range(rng.integers(not closed, 7)):
         half = rng.uniform(0.1, 0.6, 3)
         at = rng.uniform(half[:2] - (x, y), (x, y) - half[:2])
         patches += moved(box(2 * half), (*at, half[2]))
     return patches
 
 
-def bare_room(rng):
+def bare_room(rng, closed=False):
     """Points (N, 3) of all of a bare surface, in metres, with noise of 5 mm."""
-    patches = bare_surface(rng)
+    patches = bare_surface(rng, closed)
     number = int(np.exp(rng.uniform(np.log(3000), np.log(60000))))
     return sample_surface(patches, number, rng) + rng.normal(0, 0.005, (number, 3))
 

@@ -175,14 +175,8 @@ fn chromium() -> Option<PathBuf> {
     browser
 }
 
-/// Opens a page with a script appended; its elements once that ran. The console must stay empty. The window is about as
-/// large as a page in a notebook.
-fn open(chromium: &Path, folder: &TempDir, page: &str, script: &str) -> String {
-    open_in(chromium, folder, page, script, "960,580")
-}
-
-/// [`open`] in a window of this size.
-fn open_in(chromium: &Path, folder: &TempDir, page: &str, script: &str, window: &str) -> String {
+/// Opens a page with a script appended; its elements once that ran. The console must stay empty.
+fn open(chromium: &Path, folder: &TempDir, page: &str, script: &str, window: &str) -> String {
     let (path, profile) = (file(folder, "opened.html"), file(folder, "profile"));
     let text = std::fs::read_to_string(page).unwrap();
     std::fs::write(&path, text.replace("</body>", &format!("<script>{script}</script></body>"))).unwrap();
@@ -242,63 +236,50 @@ fn outliers_are_named_by_every_command_and_change_no_result() {
     }
 }
 
+/// How many pixels of the points are left without the far side, in per cent.
+const FAR_SIDE: &str = r#"
+const inked = () => {
+  draw();
+  const pixels = new Uint8Array(canvas.width * canvas.height * 4);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const words = new Uint32Array(pixels.buffer);
+  return words.reduce((sum, word) => sum + (word !== words[0]), 0);
+};
+shown.keypoints = false;
+const one = inked();
+hideFarSide = () => {};
+document.documentElement.dataset.ink = Math.round(100 * one / inked());"#;
+
 #[test]
-fn pages_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
-    const MEASURE: &str = r#"
-        const inked = () => {
-          draw();
-          const pixels = new Uint8Array(canvas.width * canvas.height * 4);
-          gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
-          const words = new Uint32Array(pixels.buffer);
-          return words.reduce((sum, word) => sum + (word !== words[0]), 0);
-        };
-        shown.keypoints = false;
-        const one = inked();
-        hideFarSide = () => {};
-        const both = inked();
-        const found = { ink: Math.round(100 * one / both), dots: Math.round(100 * dotScale()),
-          bottom: Math.ceil(byId("facts").getBoundingClientRect().bottom) };
-        Object.assign(document.documentElement.dataset, found);"#;
+fn pages_open_in_chromium_suit_the_window_and_hide_the_far_side_of_sparse_clouds() {
+    const SIZES: &str = r#"
+        document.documentElement.dataset.dots = Math.round(100 * dotScale());
+        document.documentElement.dataset.bottom = Math.ceil(byId("facts").getBoundingClientRect().bottom);"#;
     let Some(chromium) = chromium() else { return };
     let folder = tempfile::tempdir().unwrap();
     let [sparse, one, two] = ["sparse.npy", "one.html", "two.html"].map(|name| file(&folder, name));
     let points: Vec<_> = io::read_points(sample().as_ref()).unwrap().into_iter().step_by(8).collect();
     io::write_points(sparse.as_ref(), &points, [0.0; 3]).unwrap();
     succeed(&["view", &sparse, "-o", &one]);
-    succeed(&["view", &sample(), &rotated(&folder), "-o", &two]);
-    let measured = |page: &str, window: &str| {
-        let seen = open_in(&chromium, &folder, page, MEASURE, window);
-        ["data-ink", "data-dots", "data-bottom"].map(|name| attribute(&seen, name).unwrap())
-    };
-    let [ink, _, _] = measured(&one, "1280,800");
+    let ink = attribute(&open(&chromium, &folder, &one, FAR_SIDE, "1280,800"), "data-ink").unwrap();
     assert!((10..85).contains(&ink), "{ink} % of the points' pixels are left");
-    let [_, dots, bottom] = measured(&two, "1280,800");
-    assert!(dots == 100 && bottom <= 800, "{dots} {bottom}");
-    let [_, dots, _] = measured(&two, "390,844");
-    assert!(dots < 60, "{dots}");
-}
-
-#[test]
-fn pages_open_in_chromium_without_errors() {
-    let Some(chromium) = chromium() else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let (one, two) = (file(&folder, "one.html"), file(&folder, "two.html"));
     succeed(&["view", &sample(), "-o", &one]);
     succeed(&["view", &sample(), &rotated(&folder), "-o", &two, "--nms-radius", "0.05"]);
+    for (window, dots, height) in [("1280,800", 100..=100, 800), ("390,844", 0..=59, u32::MAX)] {
+        let seen = open(&chromium, &folder, &two, SIZES, window);
+        let [found, bottom] = ["data-dots", "data-bottom"].map(|name| attribute(&seen, name).unwrap());
+        assert!(dots.contains(&found) && bottom <= height, "{window}: {found} {bottom}");
+    }
     for (page, words) in [
-        (&one, vec!["triangles", "keypoint, larger with its confidence"]),
-        (&two, vec!["repeat in B within", "keypoint of one cloud only"]),
+        (&one, ["triangles", "keypoint, larger with its confidence"]),
+        (&two, ["repeat in B within", "keypoint of one cloud only"]),
     ] {
-        let seen = open(&chromium, &folder, page, LOOK);
+        let seen = open(&chromium, &folder, page, LOOK, "960,580");
         assert!(seen.contains("data-state=\"drawn\""), "the scene was not drawn");
         assert!(attribute(&seen, "data-colors").unwrap() > 500, "{:?}", attribute(&seen, "data-colors"));
         let (_, tooltip) = seen.split_once("id=\"tooltip\"").unwrap();
-        assert!(
-            ["score (saliency)", "confidence"].iter().all(|name| tooltip[..400].contains(name)),
-            "{}",
-            &tooltip[..400]
-        );
-        assert!(words.iter().all(|word| seen.contains(word)));
+        let is_named = ["score (saliency)", "confidence"].iter().all(|name| tooltip[..400].contains(name));
+        assert!(is_named && words.iter().all(|word| seen.contains(word)), "{}", &tooltip[..400]);
     }
 }
 
@@ -325,7 +306,7 @@ fn the_panel_fits_and_a_camera_looks_along_z_with_y_down() {
         let rows = knot.iter().map(|p| place(*p).map(|v| format!("{v:.4}")).join(" ") + "\n");
         std::fs::write(&cloud, rows.collect::<String>()).unwrap();
         succeed(&["view", &cloud, "-o", &page]);
-        let seen = open(&chromium, &folder, &page, LOOK);
+        let seen = open(&chromium, &folder, &page, LOOK, "960,580");
         assert!(seen.contains(&format!("data-up=\"{up}\"")), "{up}: {seen:.300}");
         // The window's own bars take some of its 580 pixels; a page has them all.
         assert!(attribute(&seen, "data-bottom").unwrap() <= 580, "{seen:.300}");
@@ -333,23 +314,9 @@ fn the_panel_fits_and_a_camera_looks_along_z_with_y_down() {
     }
 }
 
-#[test]
-fn a_page_without_webgl_shows_a_message() {
-    let Some(chromium) = chromium() else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let page = file(&folder, "page.html");
-    succeed(&["view", &sample(), "-o", &page]);
-    let text = std::fs::read_to_string(&page).unwrap();
-    let without = text.replace("<body>", "<body><script>HTMLCanvasElement.prototype.getContext = () => null</script>");
-    std::fs::write(&page, without).unwrap();
-    let seen = open(&chromium, &folder, &page, "");
-    assert!(seen.contains("data-state=\"failed\"") && seen.contains("This browser has no WebGL 2"));
-    assert!(seen.contains("262 144"), "the counts are there");
-}
-
 #[cfg(unix)]
 #[test]
-fn file_names_cannot_become_markup() {
+fn file_names_cannot_become_markup_and_a_page_without_webgl_shows_a_message() {
     let folder = tempfile::tempdir().unwrap();
     let (page, parent) = (file(&folder, "page.html"), folder.path().join("a<"));
     std::fs::create_dir(&parent).unwrap();
@@ -360,6 +327,11 @@ fn file_names_cannot_become_markup() {
     assert!(!text.contains("<img"));
     assert_eq!(page_data(&page)["clouds"][0]["name"], cloud.to_str().unwrap());
     let Some(chromium) = chromium() else { return };
-    let seen = open(&chromium, &folder, &page, "");
+    let seen = open(&chromium, &folder, &page, "", "960,580");
     assert!(seen.contains("data-state=\"drawn\"") && !seen.contains("<img"));
+    let without = text.replace("<body>", "<body><script>HTMLCanvasElement.prototype.getContext = () => null</script>");
+    std::fs::write(&page, without).unwrap();
+    let seen = open(&chromium, &folder, &page, "", "960,580");
+    assert!(seen.contains("data-state=\"failed\"") && seen.contains("This browser has no WebGL 2"));
+    assert!(seen.contains("262 144"), "the counts are there");
 }

@@ -11,7 +11,7 @@ use super::samples::{drawn, quantile};
 use snake_geometry::{Point, Vector, eigen, vector};
 
 /// The number of signs.
-pub const NUM_SIGNS: usize = 12;
+pub const NUM_SIGNS: usize = 13;
 
 /// Points that are looked at, at most.
 const POINTS: usize = 6000;
@@ -33,6 +33,8 @@ const RADII: [f64; 2] = [0.25, 0.5];
 const BULGE_RADIUS: f64 = 0.3;
 /// A patch is at an edge if the mean of the patches within the first many sides of a cell is at least the second many away.
 const EDGE: [f64; 2] = [3.5, 1.2];
+/// The surface goes on behind a patch if more than this share of the patches is at least so many sides of a cell behind its plane.
+const BEHIND: [f64; 2] = [0.02, 2.0];
 /// A viewpoint that is farther away, in sizes of the cloud, is an origin of coordinates and not a sensor.
 const FARTHEST_SENSOR: f64 = 300.0;
 
@@ -45,7 +47,7 @@ const FARTHEST_SENSOR: f64 = 300.0;
 /// the smaller; the logarithm of the area; the shares of parallel pairs of patches and of the largest connected part; how far the
 /// mean of the points is from that of the patches; how far surroundings bulge as the whole cloud does, and toward the viewpoint,
 /// and how far the whole bulges toward it; the share of patches at edges, and how much more than others these face the direction
-/// in which the cloud bulges.
+/// in which the cloud bulges; and the root of the share of patches with surface on both sides of their planes, as things in a room have.
 pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SIGNS]> {
     let drawn: Vec<Vector> = drawn(points, POINTS).map(vector).collect();
     let surface = Surface::new(&drawn, viewpoint.into())?;
@@ -79,6 +81,7 @@ pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SI
         bulge.dot(&surface.toward_sensor(&Vector::zeros())),
         edges,
         mean(|s| s.edge * s.facing) / edges.max(1e-9) - mean(|s| s.facing),
+        mean(|s| s.amid).sqrt(),
     ])
 }
 
@@ -95,6 +98,8 @@ struct Surroundings {
     edge: f64,
     /// The cosine between the normal and the direction of the bulge, without its sign.
     facing: f64,
+    /// 1 with surface on both sides of the plane, else 0.
+    amid: f64,
 }
 
 /// The surface of a cloud about its middle, in units of its size.
@@ -144,6 +149,10 @@ impl Surface {
         let offsets = patches.iter().map(|patch| patch.position - sample.position);
         let near: Vec<(Vector, f64)> =
             offsets.map(|o| (o, o.norm_squared())).filter(|(_, squared)| *squared <= reach * reach).collect();
+        let behind = |normal: Vector| {
+            let is_behind = |patch: &&Patch| normal.dot(&(patch.position - sample.position)) > BEHIND[1] * side;
+            patches.iter().filter(is_behind).count() as f64 > BEHIND[0] * patches.len() as f64
+        };
         let within = |radius: f64| near.iter().filter(move |(_, squared)| *squared <= radius * radius);
         let shares =
             RADII.map(|radius| eigenvalue_shares(&within(radius).map(|(offset, _)| *offset).collect::<Vec<_>>()));
@@ -162,6 +171,7 @@ impl Surface {
             toward_sensor: below * sample.normal.dot(&self.toward_sensor(&sample.position)),
             edge: f64::from(around.1 > 0.0 && around.0.norm() > EDGE[1] * side * around.1),
             facing: sample.normal.dot(bulge).abs(),
+            amid: f64::from(behind(sample.normal) && behind(-sample.normal)),
         }
     }
 }

@@ -44,7 +44,7 @@ use together::{Together, moved_together};
 /// sensor saw before and after half of the room moved have up to 0.16.
 const MAX_STANDING: f64 = 0.2;
 /// The next transform is a rival if the lead over it is smaller than this, where single matches
-/// were compared. Unit: share of the score. Set by hand on the same pairs.
+/// were compared. Unit: share of the score. Set by hand on pairs of hotel_uc and redkitchen.
 const MIN_LEAD: f64 = 0.3;
 /// Clouds whose diameters differ by more than this factor are probably in different units. Unit: ratio of diameters.
 /// Set by hand.
