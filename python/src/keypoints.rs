@@ -67,7 +67,7 @@ pub struct Keypoints {
     /// Positions (K, 3), in the cloud's frame and units: float32 if the cloud was float32 or float16, else float64.
     #[pyo3(get)]
     points: Positions,
-    /// Saliency (K,) float32 in [0, 1]: the score that keypoints are ranked by.
+    /// Saliency (K,) float32 in [0, 1]. Keypoints are ranked by it, in scenes also by how well the points determine their place.
     #[pyo3(get)]
     saliency: Py<PyArray1<f32>>,
     /// Occupancy (K,) float32 at the positions.
@@ -84,7 +84,7 @@ pub struct Keypoints {
     /// each. It is infinite along directions that they leave open: one at an edge, two on a plane, all without a surface.
     #[pyo3(get)]
     covariance: Py<PyArray3<f32>>,
-    /// Number of input points that were skipped because they are not finite, or are outliers.
+    /// Number of input points that were skipped because they are not finite, missing returns or outliers.
     #[pyo3(get)]
     num_skipped: usize,
     /// The number of queries after each step: "queries", "occupied",

@@ -53,7 +53,7 @@ use tiled::{DetectedTiles, Tiles, tiles};
 /// an Open3D cloud or mesh (also of `open3d.t`), a trimesh or laspy cloud, a cloud of `read_recording`, or any other value that numpy converts to such an array. The path of
 /// a file is read as by `read_points`. Points are copied as float32. Coordinates far from zero are copied relative to an
 /// origin, so that georeferenced scans in float64 keep their digits. Positions are returned as float32 if the points are
-/// float32 or float16, else as float64. Masked points, points that are not finite and outliers (few points far beyond all others) are skipped
+/// float32 or float16, else as float64. Masked points, points that are not finite, missing returns and outliers (points far beyond all others) are skipped
 /// (`Keypoints.num_skipped`), but `nearest_index` counts them.
 ///
 /// `options` are those of `Model.encode` and `Field.detect`. They default to the values of `preset`, or else of

@@ -199,7 +199,7 @@ impl Model {
 
     /// Encodes a cloud once; the field can then be queried any number of times.
     ///
-    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite or outliers are skipped. Raises
+    /// `points` is (N, 3), in the same forms as in `detect`; points that are not finite, missing returns and outliers are skipped. Raises
     /// ValueError for an invalid array or value, and TypeError for an unknown option. Options default to the values of
     /// `preset`, or else of `model.recommended`. Those of "compact" are:
     ///

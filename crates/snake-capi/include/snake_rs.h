@@ -45,7 +45,7 @@ typedef struct SnakeCloud {
 typedef struct SnakeKeypoint {
   /// x, y and z.
   float position[3];
-  /// Saliency, 0 to 1; the score that keypoints are ranked by.
+  /// Saliency, 0 to 1. Keypoints are ranked by it, in scenes also by how well the points determine their place.
   float saliency;
   /// Occupancy at the position, 0 to 1.
   float occupancy;

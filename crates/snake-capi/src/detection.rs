@@ -15,7 +15,7 @@ use crate::threads::run;
 pub struct SnakeKeypoint {
     /// x, y and z.
     pub position: [f32; 3],
-    /// Saliency, 0 to 1; the score that keypoints are ranked by.
+    /// Saliency, 0 to 1. Keypoints are ranked by it, in scenes also by how well the points determine their place.
     pub saliency: f32,
     /// Occupancy at the position, 0 to 1.
     pub occupancy: f32,

@@ -11,7 +11,7 @@ use snake_geometry::{Keypoint, Normalization};
 pub struct Detection {
     /// The keypoints, best first: by saliency, in scenes also by how well the points determine them; or corners first.
     pub keypoints: Vec<Keypoint>,
-    /// Number of points of the cloud that were skipped because they are not finite, or are outliers.
+    /// Number of points of the cloud that were skipped because they are not finite, missing returns or outliers.
     pub num_skipped: usize,
     /// Number of points that were encoded.
     pub num_encoded: usize,

@@ -13,7 +13,7 @@ mod patches;
 #[cfg(test)]
 mod tests;
 
-use std::borrow::Cow;
+use std::collections::HashSet;
 
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
@@ -107,23 +107,25 @@ impl Place {
 }
 
 /// The points that localize keypoints, and the anchors of their patches.
-pub(crate) struct Surroundings<'a> {
-    points: Cow<'a, [Point]>,
+pub(crate) struct Surroundings {
+    points: Vec<Point>,
     anchors: Anchors,
     /// The radius within which planes determine a keypoint.
     radius: f32,
 }
 
-impl<'a> Surroundings<'a> {
-    /// Takes all points of a scene, and every second, third or later point of an object that has too many.
-    pub(crate) fn of(field: &'a Field, prefer: Preference) -> Self {
+impl Surroundings {
+    /// Takes all points of a scene, and every second, third or later point of an object that has too many. A point that is
+    /// stored several times was measured once.
+    pub(crate) fn of(field: &Field, prefer: Preference) -> Self {
         let (points, normalization) = (field.points(), field.normalization());
         let is_scene = field.lattice().is_scene();
         let radius = field.voxel_size() * RADIUS[usize::from(!is_scene)];
         let side = radius * SIDES[usize::from(!is_scene && prefer == Preference::Corners)];
         let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
-        let points: Cow<[Point]> =
-            if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
+        let mut seen = HashSet::with_capacity(points.len() / step);
+        let is_new = |point: &Point| seen.insert(point.map(f32::to_bits));
+        let points: Vec<Point> = points.iter().step_by(step).copied().filter(is_new).collect();
         // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
         let anchors = first_of_cells(&points, side, place);

@@ -114,6 +114,24 @@ fn points_as_sparse_as_cells_determine_nothing() {
 }
 
 #[test]
+fn the_deviations_are_those_of_the_planes_and_the_field_bounds_the_covariance() {
+    let places = [0.02, 0.08].map(|sigma| localized(&corner(3, 0.02, sigma), [0.06, 0.05, -0.04]));
+    let [low, high] = places.map(|place| place.deviations.into_iter().fold(0.0, f32::max));
+    let [narrow, wide] = places.map(|place| place.covariance.deviation());
+    assert!(high > 3.0 * low && wide < 2.0 * narrow, "{low} {high} {narrow} {wide}");
+}
+
+#[test]
+fn a_point_that_is_stored_several_times_was_measured_once() {
+    let encoded = |points: &[Point]| {
+        crate::Model::builtin(crate::Builtin::Scenes).encode(points, &crate::EncodeOptions::default()).unwrap()
+    };
+    let points = corner(3, 0.02, 0.003);
+    let [once, thrice] = [&points, &points.repeat(3)].map(|p| Surroundings::of(&encoded(p), Preference::Salient));
+    assert_eq!((&once.points, &once.anchors.counts), (&thrice.points, &thrice.anchors.counts));
+}
+
+#[test]
 fn stray_points_do_not_pull() {
     let clean = corner(3, 0.02, 0.003);
     let stray = (0..clean.len() as u32 / 20).map(|i| [noise(i, 71), noise(i, 72), noise(i, 73)].map(|v| v + 0.3));
