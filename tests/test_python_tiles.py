@@ -157,7 +157,7 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
             return super().__call__(batch)
 
     monkeypatch.setattr(module, "DetectTiles", KilledOnce)
-    tiles = snake_rs.tiles(city, tile=5, folder=folder, model="scenes", **OPTIONS)
+    tiles = snake_rs.tiles(city, tile=8, folder=folder, model="scenes", **OPTIONS)
     table = module.keypoints_of_tiles(tiles, concurrency=2)
     assert_equal({name: table[name].to_numpy() for name in table.column_names}, whole)
     # No tile is lost, and none that was done when the worker died is detected again.
