@@ -153,14 +153,18 @@ def sensors():
     """Two scans of a room in the coordinates of a site, the sensors that were found, and the half turn about their middle."""
     files = (PLANE.with_name("room") / f"{number}.ply" for number in (2, 1))
     clouds = [np.asarray(snake_rs.read_points(file)) + (30, -12, 4) for file in files]
-    result = snake_rs.register(*clouds)
-    eyes, t = np.array([cloud.position for cloud in result.clouds]), result.t_target_source
-    source, eyes[0] = (points @ t[:3, :3].T + t[:3, 3] for points in (clouds[0], eyes[0]))
-    colours = np.repeat([GREY, RED], [len(clouds[1]), len(source)], axis=0)
-    for title, sign in (f"the answer: confidence {result.verdict.confidence:.2f}", 1), ("the half turn", -1):
-        turned = lambda points, sign=sign: (points - eyes.mean(axis=0)) * (sign, sign, 1) + eyes.mean(axis=0)
-        both = np.concatenate([clouds[1], turned(source)])[:, :2]
-        yield drawn(both, colours, title, WIDTH // 2, 2, np.array([turned(eyes[0]), eyes[1]])[:, :2], [7, 7])
+    answer = snake_rs.register(*clouds)
+    moved = lambda points, t: points @ t[:3, :3].T + t[:3, 3]
+    eyes = np.array([cloud.position for cloud in answer.clouds])
+    middle = (moved(eyes[0], answer.t_target_source) + eyes[1]) / 2
+    turn = np.diag([-1.0, -1, 1, 1])
+    turn[:3, 3] = middle * (2, 2, 0)
+    half = snake_rs.register(*clouds, initial=turn @ answer.t_target_source)
+    colours = np.repeat([GREY, RED], [len(clouds[1]), len(clouds[0])], axis=0)
+    for name, result in ("the answer", answer), ("the half turn", half):
+        source, eye = (moved(points, result.t_target_source) for points in (clouds[0], eyes[0]))
+        title, both = f"{name}: confidence {result.verdict.confidence:.2f}", np.concatenate([clouds[1], source])[:, :2]
+        yield drawn(both, colours, title, WIDTH // 2, 2, np.array([eye, eyes[1]])[:, :2], [7, 7])
 
 
 def page(out):
