@@ -22,6 +22,7 @@ import errno
 import posixpath
 import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -180,7 +181,7 @@ class RegisterPairs:
 def _loaded(model: Model | str) -> Model:
     if isinstance(model, Model):
         return model
-    return Model.builtin(model) if model in ("compact", "standard", "scenes") else Model.load(model)
+    return Model.load(model) if Path(model).suffix or Path(model).exists() else Model.builtin(model)
 
 
 @contextlib.contextmanager

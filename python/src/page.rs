@@ -9,7 +9,7 @@ use snake_core::Length;
 use snake_view::{Page, ShownCloud, ShownPair, viridis};
 
 use crate::error::py_error;
-use crate::{arrays, model, options, threads};
+use crate::{arrays, model, options, threads, warn};
 
 /// A length in Python: a number of cloud units, or text such as "6r".
 #[derive(FromPyObject)]
@@ -63,7 +63,7 @@ pub fn page(
     let unnamed = if second.is_some() { "first" } else { "cloud" };
     let mut clouds = vec![named(name, "points", points, unnamed)?];
     clouds.extend(second.map(|second| named(None, "second", second, "second")).transpose()?);
-    let page = threads::run_with_signals(py, |control| {
+    let (page, notes) = threads::run_with_signals(py, |control| {
         let mut shown: Vec<ShownCloud> = Vec::new();
         // Both clouds of a pair use the model that suits the first.
         let first = chooser.for_cloud(&clouds[0].1)?;
@@ -71,11 +71,14 @@ pub fn page(
         for (name, cloud) in &clouds[1..] {
             shown.push(ShownCloud::detect(&first.with_cloud(cloud)?, name.clone(), control)?);
         }
+        let findings = shown.iter().flat_map(|cloud| cloud.field.findings());
+        let notes: Vec<String> = first.note.iter().cloned().chain(findings).collect();
         let pair = match &shown[..] {
             [first, second] => Some(ShownPair::aligned([first, second], t_first_second, epsilon, control)?),
             _ => None,
         };
-        Ok(Page { clouds: shown, pair, options: first.options, model_name: first.name, colors: viridis() })
+        Ok((Page { clouds: shown, pair, options: first.options, model_name: first.name, colors: viridis() }, notes))
     })?;
+    warn(py, &notes)?;
     page.html().map_err(|error| PyValueError::new_err(error.to_string()))
 }

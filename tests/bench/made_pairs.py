@@ -12,9 +12,8 @@ import numpy as np
 from snake_training.data.solids import CUBE, CYLINDER, ROOM, TUNNEL, Solids, about_axis, directions, scan
 from snake_training.data.worlds import any_turn
 
-HELD_OUT = "rotunda", "stadium", "station", "forest", "desks", "lobby"
+HELD_OUT = "rotunda", "stadium", "desks", "lobby"
 SIZE = 6.0, 5.0, 2.8  # of a furnished room
-SENTINELS = 0.0, 20.0, 30.0, 65.535, 1e4  # distances that sensors write where nothing returns
 
 
 class Pair(NamedTuple):
@@ -267,20 +266,6 @@ def camera_room(rng, size: tuple = (128, 96), noise: float = 0.004) -> Pair:
     return twice(world, poses, camera(*size), rng, noise, 10.0)
 
 
-def sentinels(rng) -> Pair:
-    """Views of a room in which the same rays of both have no return; their sensor writes a distance there."""
-    made, distance, is_depth = camera_room(rng), rng.choice(SENTINELS), rng.random() < 0.3
-    azimuth, width, elevation, high = rng.uniform([-0.5, 0.1, -0.3, 0.2], [0.5, 0.5, 0.3, 1.0])
-
-    def fill(points: np.ndarray) -> np.ndarray:
-        rays = points / np.linalg.norm(points, axis=1)[:, None]
-        along, up = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(rays[:, 2])
-        is_lost = (np.abs(along - azimuth) < width) & (np.abs(up - elevation) < high)
-        return np.where(is_lost[:, None], distance * (rays / np.abs(rays[:, :1]) if is_depth else rays), points)
-
-    return made._replace(source=fill(made.source), target=fill(made.target))
-
-
 def houses(rng, length: float = 120.0) -> Solids:
     """A street along x between houses, with cars and posts."""
     world = open_ground()
@@ -344,36 +329,6 @@ def stadium(rng) -> Pair:
     at = lambda row, k: pose(yaw(k * angle) @ [radius + tread * row, 0, rise * row + 1.2], k * angle)
     poses = [at(5, 0), at(5 + rng.integers(0, 3), rng.integers(2, 8))]
     return twice(world, poses, lidar(40, 500, -50, 20), rng, 0.01, 25.0)
-
-
-def station(rng) -> Pair:
-    """A train passes a platform, on which the sensor stands."""
-    same, by = open_ground(), rng.uniform(3, 9)
-    box(same, [0, -4, 0.5], [200, 5, 1.0])
-    for _ in range(14):
-        post(same, rng.uniform(-50, 50), rng.uniform(-6, -3), 1.0, 3.0, 0.15)
-        box(same, [rng.uniform(-50, 50), rng.uniform(-6, -4), 1.3], rng.uniform(0.4, 1.8, 3))
-    worlds = [Solids(same.rows), Solids(same.rows)]
-    for world, shift in zip(worlds, (0.0, by), strict=True):
-        for k in range(-3, 4):
-            box(world, [18 * k + shift, 1.2, 2.4], [17, 2.8, 3.4])
-            for door in (-6, 0, 6):
-                box(world, [18 * k + door + shift, -0.25, 2.0], [1.4, 0.15, 2.0])
-    poses = [pose([0, -2.2, 2.6]), pose([rng.uniform(0.5, 2.0), -2.4, 2.6], rng.uniform(-20, 20))]
-    return between(worlds, poses, lidar(32, 700, -25, 15), rng, 0.01, 50.0)
-
-
-def forest(rng) -> Pair:
-    """Trunks and rocks at random: nothing repeats."""
-    world = open_ground()
-    for x, y in rng.uniform(-40, 40, (220, 2)):
-        if min(np.hypot(x, y), np.hypot(x - 4, y)) > 1.5:
-            post(world, x, y, 0, rng.uniform(6, 15), rng.uniform(0.12, 0.35))
-    for x, y in rng.uniform(-40, 40, (60, 2)):
-        if min(np.hypot(x, y), np.hypot(x - 4, y)) > 3:
-            box(world, [x, y, 0], rng.uniform(0.5, 2.5, 3), yaw(rng.uniform(0, 90)))
-    poses = [pose([0, 0, 1.7], rng.uniform(0, 360)), pose([4 + rng.uniform(-1, 1), rng.uniform(-1, 1), 1.7])]
-    return twice(world, poses, lidar(32, 700, -25, 25), rng, 0.015, 45.0)
 
 
 def still(rng) -> Pair:
@@ -472,8 +427,8 @@ def apart(rng, *kinds) -> Pair:
     return Pair(*(kind(rng).source for kind in kinds), [])
 
 
-NAMED = stairs, ramp, stairwell, motorway, slope, fence, facade, mirrored, changed, room, camera_room, sentinels, street
-NAMED += boxes, rotunda, stadium, station, forest, still, desks, lobby, pillars
+NAMED = stairs, ramp, stairwell, motorway, slope, fence, facade, mirrored, changed, room, camera_room, street
+NAMED += boxes, rotunda, stadium, still, desks, lobby, pillars
 KINDS = {make.__name__: make for make in NAMED} | {
     "corridor, camera": partial(passage, is_round=False, is_lidar=False),
     "corridor, lidar": partial(passage, is_round=False, is_lidar=True),

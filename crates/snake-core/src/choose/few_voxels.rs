@@ -37,7 +37,9 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
     if voxel.is_nan() || voxel <= 0.0 {
         return None;
     }
-    let cell = |point: &Point| point.map(|v| (f64::from(v) / voxel).round() as i64);
+    // About the middle, a straight tube along an axis lies in one row of voxels, wherever the cloud is.
+    let middle = [0, 1, 2].map(|axis| quantile(points.iter().map(|point| f64::from(point[axis])).collect(), 0.5));
+    let cell = |point: &Point| [0, 1, 2].map(|axis| ((f64::from(point[axis]) - middle[axis]) / voxel).round() as i64);
     let mut cells = BTreeSet::new();
     if points.iter().any(|point| cells.insert(cell(point)) && cells.len() > MAX_VOXELS) {
         return None;
@@ -99,6 +101,9 @@ mod tests {
             (100_000, 1.0, 0.002, 0.0),
         ] {
             let points = tube(number, length, radius, angle);
+            // Half a voxel of the volume to the side.
+            let beside = points.iter().map(|p| p.map(|v| v + length as f32 / 64.0)).collect::<Vec<_>>();
+            assert_eq!(Builtin::for_cloud(&beside), Builtin::Scenes, "{length} {radius}");
             assert_eq!(Builtin::for_cloud(&points), Builtin::Scenes, "{length} {radius}");
             let text = note(&UsedCloud::new(&points).unwrap()).unwrap();
             assert!(text.starts_with("the cloud lies in "), "{text}");

@@ -22,6 +22,8 @@ const MARGIN: f64 = 1.5;
 /// Largest distance in a shell as a multiple of its smallest; and the smallest gap between two shells, as a ratio.
 const SHELL: f64 = 1.6;
 const BETWEEN_SHELLS: f64 = 1.5;
+/// Smallest length of the mean direction of points on one side: they lie within a cone of about 30 degrees. An eighth of a dome has 0.87.
+const ONE_SIDE: f64 = 0.93;
 /// Points are scattered if, for more than this share of them, the neighbour in direction is farther or nearer by this factor.
 /// In tails it is half and more, in a room around a statue 0.27, in sweeps and terrain 0.06 and less.
 const SCATTERED_SHARE: f64 = 0.38;
@@ -66,7 +68,14 @@ pub(super) fn dense_core(points: &[[f64; 3]]) -> Option<([f64; 3], f64)> {
         let beyond = points.iter().filter(|point| distance(point) > MARGIN * radius);
         beyond.map(|point| std::array::from_fn(|axis| point[axis] - center[axis])).collect::<Vec<[f64; 3]>>()
     };
-    (is_far && (are_shells(&sorted[far..]) || are_scattered(&offsets()))).then_some((center, MARGIN * radius))
+    let is_sky = is_far && !lie_on_one_side(&offsets()) && are_shells(&sorted[far..]);
+    (is_sky || is_far && are_scattered(&offsets())).then_some((center, MARGIN * radius))
+}
+
+/// Whether points, given relative to the centre, lie in nearly one direction: a thing before a sensor's own housing, no sky.
+fn lie_on_one_side(offsets: &[[f64; 3]]) -> bool {
+    let sum = |axis: usize| offsets.iter().map(|offset| Ray::new(offset).direction[axis]).sum::<f64>();
+    squared_distance(&[0, 1, 2].map(sum), &[0.0; 3]).sqrt() > ONE_SIDE * offsets.len() as f64
 }
 
 pub(super) fn squared_distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {

@@ -6,11 +6,10 @@ use crate::Point;
 const MIN_SHARE: f64 = 0.3;
 /// The next point is more than this many radii of the place away: scans of an object have other objects beside it.
 const GAP: f64 = 10.0;
-/// Smallest spread of the other points about their mean, as a share of the mean's distance. They are a scene around the sensor,
-/// not a second object far away.
-const MIN_SPREAD: f64 = 0.2;
+/// Smallest spread of the other points about their mean, in radii of the place. A second object of about the same size has less.
+const MIN_SPREAD: f64 = 4.0;
 /// The other points have no such place: around none of them, this share of them lies within this many radii of the place.
-const CLUMP: (f64, f64) = (0.2, 5.0);
+const CLUMP: (f64, f64) = (0.2, 2.0);
 /// Number of points that are measured, and number of candidates for the middle of the place.
 const MEASURED: usize = 512;
 const CANDIDATES: usize = 32;
@@ -31,12 +30,18 @@ pub(super) fn housing(points: &[Point]) -> Option<(Vec<bool>, String)> {
         std::array::from_fn(|axis| (rest.iter().map(|p| f64::from(p[axis])).sum::<f64>() / number) as f32);
     let spread = (rest.iter().map(|point| distance(point, &mean).powi(2)).sum::<f64>() / number).sqrt();
     let (share, radii) = CLUMP;
-    let is_scene = spread > MIN_SPREAD * distance(&mean, &center)
+    let is_scene = spread > MIN_SPREAD * radius
         && densest(&rest, share).is_some_and(|clump| reach(&clump, &rest, share) > radii * radius);
-    let [x, y, z] = center;
     is_scene.then(|| {
         let is_inside = points.iter().map(|point| distance(point, &center) <= limit).collect();
-        (is_inside, format!("within {limit:.2e} of ({x}, {y}, {z}), with nothing else near, as returns of a sensor's own housing are"))
+        let [radius, x, y, z] =
+            [limit, center[0].into(), center[1].into(), center[2].into()].map(|v: f64| format!("{v:.3}"));
+        (
+            is_inside,
+            format!(
+                "within {radius} of ({x}, {y}, {z}), with nothing else near, as returns of a sensor's own housing are"
+            ),
+        )
     })
 }
 
@@ -107,6 +112,12 @@ mod tests {
                 let (left, notes) = kept(&points);
                 assert_eq!((left, notes.len()), (10_000, 1), "{number} {notes:?}");
                 assert!(notes[0].starts_with(&format!("{number} of ")) && notes[0].contains("housing"), "{notes:?}");
+            }
+            // A thing before the sensor.
+            for (size, distance) in [(0.3, 0.5), (0.3, 1.0), (0.3, 3.0), (1.0, 1.5), (2.0, 5.0)] {
+                let thing = ball(10_000, size / 2.0, [0.0, 0.0, distance]);
+                let (left, notes) = kept(&[thing, ball(number, 0.015, [0.0; 3])].concat());
+                assert!(left == 10_000 && notes[0].contains("housing"), "{number} {size} {distance} {notes:?}");
             }
         }
     }

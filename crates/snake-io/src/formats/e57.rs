@@ -20,20 +20,19 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(points.into())
 }
 
-/// The colours, as bytes, and the intensities of the points that [`read`] reads. A colour that a
-/// scanner marks as invalid is black, and an invalid intensity is 0.
+/// The colours, as bytes, and the intensities of the points that [`read`] reads, if a scan has any. A colour that a scan lacks
+/// or that a scanner marks as invalid is black, and such an intensity is 0.
 pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
-    let (mut colors, mut intensity) = (Vec::new(), Vec::new());
+    let (mut colors, mut intensity, mut are_there) = (Vec::new(), Vec::new(), [false; 2]);
     for_each_point(bytes, &mut |_, scan, point| {
-        if scan.has_color() {
-            let shares = point.color.as_ref().map_or([0.0; 3], |color| [color.red, color.green, color.blue]);
-            colors.push(shares.map(|share| (255.0 * share).round() as u8));
-        }
-        if scan.has_intensity() {
-            intensity.push(point.intensity.unwrap_or_default());
-        }
+        let shares = point.color.as_ref().map_or([0.0; 3], |color| [color.red, color.green, color.blue]);
+        colors.push(shares.map(|share| (255.0 * share).round() as u8));
+        intensity.push(point.intensity.unwrap_or_default());
+        are_there = [are_there[0] | scan.has_color(), are_there[1] | scan.has_intensity()];
     })?;
-    Ok(Attributes { colors: Some(colors), intensity: Some(intensity), ..Attributes::default() })
+    let [has_colors, has_intensity] = are_there;
+    let (colors, intensity) = (has_colors.then_some(colors), has_intensity.then_some(intensity));
+    Ok(Attributes { colors, intensity, ..Attributes::default() })
 }
 
 /// Calls `found` with each position, its scan and the rest of the point's data.
@@ -174,12 +173,19 @@ mod tests {
             scan.add_point([values, vec![RecordValue::Single(300.0 * number)]].concat()).unwrap();
         }
         scan.finalize().unwrap();
+        let fields = XYZ.map(|name| Record { name, data_type: RecordDataType::F32 });
+        let mut plain = writer.add_pointcloud("plain", fields.into()).unwrap();
+        plain.add_point([3.0; 3].map(RecordValue::Single).into()).unwrap();
+        plain.finalize().unwrap();
         writer.finalize().unwrap();
         drop(writer);
         let Attributes { colors, intensity, .. } = super::attributes(&file.into_inner()).unwrap();
-        assert_eq!((colors, intensity), (Some(vec![[10, 128, 255]; 2]), Some(vec![300.0, 600.0])));
+        assert_eq!(
+            (colors, intensity),
+            (Some(vec![[10, 128, 255], [10, 128, 255], [0; 3]]), Some(vec![300.0, 600.0, 0.0]))
+        );
         let plain = super::attributes(&scans(&[None], &XYZ)).unwrap();
-        assert_eq!((plain.colors, plain.intensity), (Some(vec![]), Some(vec![])));
+        assert_eq!((plain.colors, plain.intensity), (None, None));
     }
 
     #[test]

@@ -38,7 +38,7 @@ pub(crate) fn read(bytes: &[u8], keep_withheld: bool) -> Result<Shape, String> {
         let all = shape.points.len();
         shape.notes.push(format!(
             "{num_withheld} of {all} points are left out, because the file marks them as withheld or as noise; \
-             `keep_withheld` keeps them"
+             reading with `keep_withheld` keeps them"
         ));
     }
     Ok(shape)
