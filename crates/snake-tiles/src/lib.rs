@@ -8,7 +8,7 @@
 //! 2. [`TiledRun::detect`] encodes the voxels of one tile and writes their candidates. It reads the points of the tile and of a
 //!    margin around it.
 //! 3. [`TiledRun::finish`] suppresses the candidates, again tile by tile with the candidates of the
-//! neighbours that it needs, and finds the nearest point of each keypoint.
+//!    neighbours that it needs, and finds the nearest point of each keypoint.
 //!
 //! The keypoints are bit-identical to those of [`snake_core::Model::detect`] on the whole cloud, for any size of the tiles.
 //! Memory grows with the largest tile and the number of keypoints. A step whose result is in the folder is not repeated, so
