@@ -343,6 +343,7 @@ class Keypoints:
         model: str | None = None,
         voxel_size: float | None = None,
         notes: list[str] = ...,
+        weights: str | None = None,
     ) -> Self: ...
     descriptors: Final[NDArray[np.float32]]
     points: Final[_Positions]

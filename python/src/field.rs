@@ -29,8 +29,8 @@ pub struct Field {
     core: core::Field,
     /// The model and the options that encoded the cloud: a field is restored by encoding it again.
     model: Py<PyAny>,
-    /// The model's name in results.
-    model_name: String,
+    /// The model with its name in results.
+    named: core::NamedModel,
     options: core::EncodeOptions,
     /// Offset to add to all positions of the core's field.
     origin: [f64; 3],
@@ -49,14 +49,7 @@ impl Field {
     ) -> PyResult<Self> {
         let encode = |control: &core::Control| named.model.encode_with(&cloud.points, &options, control);
         let core = threads::run_with_signals(model.py(), encode)?;
-        Ok(Self {
-            core,
-            model: model.clone().unbind(),
-            model_name: named.name,
-            options,
-            origin: cloud.origin,
-            precision,
-        })
+        Ok(Self { core, model: model.clone().unbind(), named, options, origin: cloud.origin, precision })
     }
 
     /// The given cloud, with NaN for points that were skipped.
@@ -174,7 +167,7 @@ impl Field {
         let note = detection.note(&preset.detect);
         warn(py, &note)?;
         let notes = self.notes().into_iter().chain(note).collect();
-        let source = (Some(self.model_name.clone()), notes);
+        let source = (self.named.name.clone(), self.named.model.digest(), notes);
         Keypoints::from_detection(py, detection, self.origin, self.precision, Some(cloud), source)
     }
 

@@ -53,7 +53,8 @@ impl FrameDetector {
             detector.detect_into_with(&cloud.points, &mut detection, control)?;
             Ok((cloud, detection))
         })?;
-        let source = (Some(self.model.get().named().name), Vec::new());
+        let named = self.model.get().named();
+        let source = (named.name, named.model.digest(), Vec::new());
         Keypoints::from_detection(py, detection, cloud.origin, precision, Some(cloud), source)
     }
 

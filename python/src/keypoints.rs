@@ -104,6 +104,8 @@ pub struct Keypoints {
     /// faults of the cloud.
     #[pyo3(get)]
     notes: Vec<String>,
+    /// The digest of the model's weights.
+    weights: Option<String>,
     /// The cloud, for descriptors. Keypoints that were pickled or loaded have none.
     cloud: Option<Arc<Cloud>>,
     descriptors: OnceLock<Py<PyArray2<f32>>>,
@@ -123,13 +125,13 @@ impl Keypoints {
         warn(py, &note)?;
         notes.extend(note);
         let cloud = cloud.clone().for_normalization(chosen.options.encode.normalization);
-        let source = (Some(chosen.name.clone()), notes);
+        let source = (chosen.name.clone(), chosen.model.digest(), notes);
         Self::from_detection(py, detection, chosen.origin, precision, Some(cloud), source)
     }
 
-    /// The name of the model that found them; `None` if it is not known.
-    pub fn model(&self) -> Option<&str> {
-        self.model.as_deref()
+    /// The name and the digest of the model that found them; `None` if it is not known.
+    pub fn model(&self) -> Option<(&str, &str)> {
+        self.model.as_deref().zip(self.weights.as_deref())
     }
 
     /// Converts the core's result to arrays and dicts.
@@ -139,7 +141,7 @@ impl Keypoints {
         origin: [f64; 3],
         precision: Precision,
         cloud: Option<Cloud>,
-        (model, notes): (Option<String>, Vec<String>),
+        (model, weights, notes): (String, &str, Vec<String>),
     ) -> PyResult<Self> {
         let Detection { keypoints, num_skipped, counts, timing, voxel_size, .. } = detection;
         let timing = [
@@ -163,7 +165,8 @@ impl Keypoints {
             num_skipped,
             counts: counts_dict(py, &counts)?.unbind(),
             timing_seconds: timing.into_py_dict(py)?.unbind(),
-            model,
+            model: Some(model),
+            weights: Some(weights.into()),
             // 0.1 instead of its nearest float32.
             voxel_size: voxel_size.and_then(|size| size.to_string().parse().ok()),
             notes,
@@ -187,7 +190,7 @@ pub fn counts_dict<'py>(py: Python<'py>, counts: &Counts) -> PyResult<Bound<'py,
 #[pymethods]
 impl Keypoints {
     #[new]
-    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, covariance, num_skipped, counts, timing_seconds, descriptors=None, model=None, voxel_size=None, notes=vec![]))]
+    #[pyo3(signature = (points, saliency, occupancy, nearest_index, confidence, covariance, num_skipped, counts, timing_seconds, descriptors=None, model=None, voxel_size=None, notes=vec![], weights=None))]
     #[expect(clippy::too_many_arguments, reason = "the state of a pickle")]
     fn new(
         points: Positions,
@@ -203,6 +206,7 @@ impl Keypoints {
         model: Option<String>,
         voxel_size: Option<f64>,
         notes: Vec<String>,
+        weights: Option<String>,
     ) -> Self {
         let descriptors = descriptors.map_or_else(OnceLock::new, OnceLock::from);
         let cloud = None;
@@ -219,6 +223,7 @@ impl Keypoints {
             model,
             voxel_size,
             notes,
+            weights,
             cloud,
             descriptors,
         }
@@ -357,6 +362,7 @@ impl Keypoints {
             model: self.model.clone(),
             voxel_size: self.voxel_size,
             notes: self.notes.clone(),
+            weights: self.weights.clone(),
             cloud: self.cloud.clone(),
             descriptors: match self.descriptors.get() {
                 Some(all) => OnceLock::from(contiguous(all.bind(py).get_item(index)?)?.extract::<Py<PyArray2<f32>>>()?),
@@ -379,9 +385,10 @@ impl Keypoints {
     fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let Self { points, saliency, occupancy, nearest_index, confidence, covariance, num_skipped, counts, .. } = self;
         let arrays = (points, saliency, occupancy, nearest_index, confidence, covariance).into_pyobject(py)?;
-        let Self { timing_seconds, model, voxel_size, notes, .. } = self;
+        let Self { timing_seconds, model, voxel_size, notes, weights, .. } = self;
         let descriptors = self.descriptors.get();
-        let others = (num_skipped, counts, timing_seconds, descriptors, model, voxel_size, notes).into_pyobject(py)?;
+        let others =
+            (num_skipped, counts, timing_seconds, descriptors, model, voxel_size, notes, weights).into_pyobject(py)?;
         arrays.as_sequence().concat(others.as_sequence())?.to_tuple()
     }
 

@@ -152,8 +152,8 @@ fn match_keypoints<'py>(
     a: &Bound<'py, Keypoints>,
     b: &Bound<'py, Keypoints>,
 ) -> PyResult<Bound<'py, PyArray2<i64>>> {
-    if let [Some(first), Some(second)] = [a, b].map(|keypoints| keypoints.get().model())
-        && first != second
+    if let [Some((first, weights)), Some((second, others))] = [a, b].map(|keypoints| keypoints.get().model())
+        && weights != others
     {
         let reason = format!(
             "match: the keypoints are of two models, {first} and {second}, which find other places; detect both with one `model`"

@@ -39,12 +39,7 @@ impl Model {
     pub fn named(&self) -> core::NamedModel {
         let name = match &self.origin {
             Origin::Builtin(name) => format!("{name}, built-in"),
-            Origin::File(_, Some(name)) => name.clone(),
-            // So that keypoints of two such models are told apart.
-            Origin::File(..) => {
-                let digest = self.core.metadata().get("digest").map_or("", String::as_str);
-                format!("without a name {digest:.15}").trim_end().into()
-            }
+            Origin::File(_, name) => name.clone().unwrap_or_else(|| "without a name".into()),
         };
         core::NamedModel::new(self.core.clone(), name)
     }

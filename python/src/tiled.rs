@@ -174,7 +174,8 @@ impl Tiles {
         if let Some(Length::Units(size)) = self.run.options().encode.voxel_size {
             detection.voxel_size = Some(size as f32);
         }
-        let source = (Some(self.model.get().named().name), Vec::new());
+        let named = self.model.get().named();
+        let source = (named.name, named.model.digest(), Vec::new());
         Keypoints::from_detection(py, detection, self.run.origin(), Precision::Double, None, source)
     }
 

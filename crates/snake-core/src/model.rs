@@ -56,6 +56,11 @@ impl Model {
         &self.network.metadata
     }
 
+    /// The BLAKE3 digest of the weight file.
+    pub fn digest(&self) -> &str {
+        &self.network.digest
+    }
+
     /// Number of weights.
     pub fn num_parameters(&self) -> usize {
         self.network.num_parameters
