@@ -224,16 +224,6 @@ def fence(rng) -> Pair:
     return twice(world, [pose([0, 0, 1.7]), other], lidar(32, 900, -25, 15), rng, 0.01, 40.0)
 
 
-def facade(rng) -> Pair:
-    """A wall with equal windows, ground before it."""
-    world, period, far = open_ground(), rng.uniform(1.4, 3.0), rng.uniform(7, 11)
-    box(world, [0, far, 6], [80, 0.3, 12])
-    for x, z in itertools.product(np.arange(-39, 40, period), (2, 5, 8)):
-        box(world, [x, far - 0.2, z], [0.6 * period, 0.3, 1.5])
-    poses = [pose([0, 0, 1.4]), pose([rng.uniform(0.7, 2.3) * period, rng.uniform(-0.5, 0.5), 1.4])]
-    return twice(world, poses, lidar(48, 500, -45, 45), rng, 0.008, 16.0)
-
-
 def mirrored(rng) -> Pair:
     """A room of which one scan has a flipped axis: no transform is right."""
     made, flip = room(rng), np.ones(3)
@@ -331,19 +321,6 @@ def stadium(rng) -> Pair:
     return twice(world, poses, lidar(40, 500, -50, 20), rng, 0.01, 25.0)
 
 
-def still(rng) -> Pair:
-    """A sensor that stands in a street while one car passes, or in a room in which one thing moved."""
-    is_street = rng.random() < 0.5
-    same = houses(rng) if is_street else furnished(rng)
-    t = pose([0, 0, 1.8] if is_street else clear(same, rng), 30.0)
-    worlds = [Solids(same.rows), Solids(same.rows)]
-    size = [4.2, 1.8, 1.5] if is_street else [0.6, 0.6, 1.0]
-    for world, at in zip(worlds, [[8, 3, 0.75], [-12, 3, 0.75]] if is_street else [[1.5, 2.5, 0.5], [4, 2.5, 0.5]]):
-        box(world, at, size)
-    rays = lidar(32, 700, -25, 12) if is_street else lidar(48, 400, -60, 60)
-    return between(worlds, [t, t], rays, rng, 0.01, 60.0)
-
-
 def desks(rng) -> Pair:
     """A hall with a grid of equal desks and chairs."""
     size, step = [rng.uniform(12, 16), rng.uniform(9, 12), 3.0], rng.uniform([1.8, 1.5], [2.4, 2.0])
@@ -427,8 +404,8 @@ def apart(rng, *kinds) -> Pair:
     return Pair(*(kind(rng).source for kind in kinds), [])
 
 
-NAMED = stairs, ramp, stairwell, motorway, slope, fence, facade, mirrored, changed, room, camera_room, street
-NAMED += boxes, rotunda, stadium, still, desks, lobby, pillars
+NAMED = stairs, ramp, stairwell, motorway, slope, fence, mirrored, changed, room, camera_room, street
+NAMED += boxes, rotunda, stadium, desks, lobby, pillars
 KINDS = {make.__name__: make for make in NAMED} | {
     "corridor, camera": partial(passage, is_round=False, is_lidar=False),
     "corridor, lidar": partial(passage, is_round=False, is_lidar=True),

@@ -13,13 +13,14 @@ mod patches;
 #[cfg(test)]
 mod tests;
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 
 use nalgebra::{Matrix3, SymmetricEigen};
 use rayon::prelude::*;
 
 pub(crate) use self::patches::Patches;
-use self::patches::{Anchors, Sums, first_of_cells};
+use self::patches::{Anchors, Sums, cell_of, first_of_cells};
 use crate::Result;
 use crate::field::Field;
 use crate::options::Preference;
@@ -107,28 +108,34 @@ impl Place {
 }
 
 /// The points that localize keypoints, and the anchors of their patches.
-pub(crate) struct Surroundings {
-    points: Vec<Point>,
+pub(crate) struct Surroundings<'a> {
+    points: Cow<'a, [Point]>,
     anchors: Anchors,
     /// The radius within which planes determine a keypoint.
     radius: f32,
 }
 
-impl Surroundings {
+impl<'a> Surroundings<'a> {
     /// Takes all points of a scene, and every second, third or later point of an object that has too many. A point that is
     /// stored several times was measured once.
-    pub(crate) fn of(field: &Field, prefer: Preference) -> Self {
+    pub(crate) fn of(field: &'a Field, prefer: Preference) -> Self {
         let (points, normalization) = (field.points(), field.normalization());
         let is_scene = field.lattice().is_scene();
         let radius = field.voxel_size() * RADIUS[usize::from(!is_scene)];
         let side = radius * SIDES[usize::from(!is_scene && prefer == Preference::Corners)];
         let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
-        let mut seen = HashSet::with_capacity(points.len() / step);
-        let is_new = |point: &Point| seen.insert(point.map(f32::to_bits));
-        let points: Vec<Point> = points.iter().step_by(step).copied().filter(is_new).collect();
+        let mut points: Cow<[Point]> =
+            if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
-        let anchors = first_of_cells(&points, side, place);
+        let mut anchors = first_of_cells(&points, side, place);
+        let repeated: HashSet<[i64; 3]> = anchors.repeated().map(|anchor| cell_of(place(anchor), side)).collect();
+        if !repeated.is_empty() {
+            let mut seen = HashSet::new();
+            let mut is_new = |point: &Point| seen.insert(point.map(f32::to_bits));
+            points.to_mut().retain(|point| !repeated.contains(&cell_of(place(*point), side)) || is_new(point));
+            anchors = first_of_cells(&points, side, place);
+        }
         Self { anchors: Anchors { is_scene, ..anchors }, points, radius }
     }
 

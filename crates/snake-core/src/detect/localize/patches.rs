@@ -60,18 +60,34 @@ pub(super) struct Anchors {
     pub(super) side: f32,
     /// Number of points of the cloud in the cell of each anchor.
     pub(super) counts: Vec<u32>,
+    /// Whether the cloud has a point several times that is an anchor.
+    pub(super) are_repeated: Vec<bool>,
     pub(super) is_scene: bool,
+}
+
+impl Anchors {
+    /// The anchors that the cloud has several times.
+    pub(super) fn repeated(&self) -> impl Iterator<Item = Point> {
+        self.points.iter().zip(&self.are_repeated).filter(|(_, is_repeated)| **is_repeated).map(|(point, _)| *point)
+    }
+}
+
+/// The cell of a place in the frame of the cells.
+pub(super) fn cell_of(place: Point, side: f32) -> [i64; 3] {
+    place.map(|v| (v / side).floor() as i64)
 }
 
 /// The first point of each cubic cell of a cloud. `place` maps a point to the frame of the cells.
 pub(super) fn first_of_cells(points: &[Point], side: f32, place: impl Fn(Point) -> Point) -> Anchors {
     let (mut cells, mut anchors) = (HashMap::new(), Anchors { side, ..Anchors::default() });
     for point in points {
-        let cell = place(*point).map(|v| (v / side).floor() as i64);
-        let index = *cells.entry(cell).or_insert(anchors.points.len());
+        let index = *cells.entry(cell_of(place(*point), side)).or_insert(anchors.points.len());
         if index == anchors.points.len() {
             anchors.points.push(*point);
             anchors.counts.push(0);
+            anchors.are_repeated.push(false);
+        } else if anchors.points[index] == *point {
+            anchors.are_repeated[index] = true;
         }
         anchors.counts[index] += 1;
     }

@@ -127,7 +127,8 @@ fn a_point_that_is_stored_several_times_was_measured_once() {
         crate::Model::builtin(crate::Builtin::Scenes).encode(points, &crate::EncodeOptions::default()).unwrap()
     };
     let points = corner(3, 0.02, 0.003);
-    let [once, thrice] = [&points, &points.repeat(3)].map(|p| Surroundings::of(&encoded(p), Preference::Salient));
+    let fields = [encoded(&points), encoded(&points.repeat(3))];
+    let [once, thrice] = fields.each_ref().map(|field| Surroundings::of(field, Preference::Salient));
     assert_eq!((&once.points, &once.anchors.counts), (&thrice.points, &thrice.anchors.counts));
 }
 
