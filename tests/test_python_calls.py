@@ -1,6 +1,7 @@
 """Calls for robots: frame after frame, in time, watched, from organised arrays; parts of results are printed and pickled."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -11,8 +12,14 @@ import snake_rs
 
 def test_frames_have_the_keypoints_of_detect():
     frames = snake_rs.FrameDetector("compact", max_keypoints=20)
-    for points in (thing(), thing(1000).astype(np.float32) + 5, thing() + [5e5, 4e6, 0]):
-        found, expected = frames.detect(points), snake_rs.detect(points, "compact", max_keypoints=20)
+    stray = np.vstack([thing(), [[900, 0, 0], [0, -800, 0]]])
+    for points in (thing(), thing(1000).astype(np.float32) + 5, thing() + [5e5, 4e6, 0], stray):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            found = frames.detect(points)
+        expected = snake_rs.detect(points, "compact", max_keypoints=20)
+        assert found.notes == expected.notes == [str(warning.message) for warning in told]
+        assert bool(found.notes) == (points is stray)
         for name in ("points", "saliency", "nearest_index", "descriptors"):
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
         assert found.points.dtype == expected.points.dtype and found.model == expected.model

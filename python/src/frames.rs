@@ -10,7 +10,7 @@ use crate::error::py_error;
 use crate::keypoints::Keypoints;
 use crate::model::{self, Model};
 use crate::threads::{self, Watch};
-use crate::{arrays, options};
+use crate::{arrays, options, warn};
 
 /// A model with its options, for clouds that come one after another, such as the sweeps of a laser scanner. The memory of one
 /// cloud's volumes is used again for the next.
@@ -34,7 +34,7 @@ impl FrameDetector {
         Ok(Self { model: model.unbind(), detector: Mutex::new(detector) })
     }
 
-    /// The keypoints of the next cloud, those of `snake_rs.detect` to the bit, without `notes`. Arguments are those of
+    /// The keypoints of the next cloud, those of `snake_rs.detect` to the bit, with the notes of `snake_rs.Field.detect`. Arguments are those of
     /// `snake_rs.detect`.
     #[pyo3(signature = (points, *, deadline=None, progress=None))]
     fn detect(
@@ -46,15 +46,17 @@ impl FrameDetector {
     ) -> PyResult<Keypoints> {
         let watch = Watch::new(deadline, progress)?;
         let (cloud, precision) = arrays::cloud("points", points)?;
-        let (cloud, detection) = threads::run_watched(py, watch, |control| {
+        let (cloud, detection, notes) = threads::run_watched(py, watch, |control| {
             let mut detector = self.detector.lock().unwrap_or_else(PoisonError::into_inner);
             let cloud = cloud.for_normalization(detector.options().encode.normalization);
             let mut detection = core::Detection::default();
             detector.detect_into_with(&cloud.points, &mut detection, control)?;
-            Ok((cloud, detection))
+            let note = detection.note(&detector.options().detect);
+            Ok((cloud, detection, detector.findings().iter().cloned().chain(note).collect::<Vec<_>>()))
         })?;
+        warn(py, &notes)?;
         let named = self.model.get().named();
-        let source = (named.name, named.model.digest(), Vec::new());
+        let source = (named.name, named.model.digest(), notes);
         Keypoints::from_detection(py, detection, cloud.origin, precision, Some(cloud), source)
     }
 

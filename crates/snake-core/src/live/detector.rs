@@ -30,6 +30,7 @@ pub struct FrameDetector {
     model: Model,
     options: Options,
     memory: FieldMemory,
+    findings: Vec<String>,
 }
 
 impl FrameDetector {
@@ -39,7 +40,7 @@ impl FrameDetector {
     /// [`Error::Option`](crate::Error::Option) when an option is out of its range.
     pub fn new(model: Model, options: Options) -> Result<Self> {
         model.network().check(&options)?;
-        Ok(Self { model, options, memory: FieldMemory::default() })
+        Ok(Self { model, options, memory: FieldMemory::default(), findings: Vec::new() })
     }
 
     /// The model.
@@ -50,6 +51,11 @@ impl FrameDetector {
     /// The options.
     pub fn options(&self) -> &Options {
         &self.options
+    }
+
+    /// [`Field::findings`] of the last cloud.
+    pub fn findings(&self) -> &[String] {
+        &self.findings
     }
 
     /// Replaces `detection` by the keypoints of a cloud. They are bit-identical to those of [`Model::detect`].
@@ -76,6 +82,7 @@ impl FrameDetector {
         let seconds = start.elapsed().as_secs_f64();
         *detection = field.detect_in(detect, control)?;
         detection.timing.encode = seconds;
+        self.findings = field.findings();
         field.recycle_into(&mut self.memory);
         Ok(())
     }

@@ -9,7 +9,8 @@ use snake_geometry::options;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MeshSurface {
-    /// In the middle of the shell, on the ridge of the occupancy. Both sides of a thin wall lie there.
+    /// In the middle of the shell, on the ridge of the occupancy. Both sides of a thin wall lie there, and where they
+    /// met some triangles are folded.
     #[default]
     Middle,
     /// Where the occupancy equals the level, as in the released code.
