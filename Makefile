@@ -42,9 +42,8 @@ quick:  ## after every edit, three minutes: format, lints, kernels, core, comman
 	cargo test --release $(QUICK) --lib -- --skip control::tests
 	cargo test --release $(QUICK) --test cli -- detect:: register:: usage:: outputs::
 
-# All packages but one, whose features would change those of all others. The Python module by itself has the
-# same features: each crate is compiled once. tests/test_embedding.py runs what is compiled here.
-PACKAGES := --workspace --exclude snake-interop
+# The Python module by itself has the features of the workspace: each crate is compiled once. tests/test_embedding.py runs what
+# is compiled here.
 NIGHTLY = -m "not nightly"
 TEST := test test-full
 $(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
@@ -55,9 +54,9 @@ test-full: copper
 test:  ## all tests: Rust, Python module, training, parity with PyTorch; prints the ten slowest
 test-full:  ## also whole grids, of which `make test` tests one of each kind: for the night
 $(TEST): $(VENV)/ready
-	cargo build --release $(PACKAGES) --lib --bins --tests --examples
+	cargo build --release --workspace --lib --bins --tests --examples
 	cp target/release/lib_core.$(if $(filter Darwin,$(shell uname)),dylib,so) python/snake_rs/_core.abi3.so
-	python3 tools/rust_tests.py $(PACKAGES)
+	python3 tools/rust_tests.py --workspace
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --durations=10 $(NIGHTLY) --numprocesses 2 --dist loadfile tests training/tests
 
 .PHONY: copper
@@ -86,7 +85,6 @@ test-aarch64:  ## the kernels and the field under emulation, with NEON; needs qe
 check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stubs, documentation, other crates, packages, the wheel
 	cargo fmt --check
 	cargo clippy --release --workspace --all-targets
-	cargo test --release -p snake-interop
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 	$(VENV)/bin/ruff check training python tests docs tools
 	$(VENV)/bin/ruff format --check training python tests docs tools
@@ -100,7 +98,7 @@ check: $(VENV)/check-ready wheel-test packages sdist  ## formatting, lints, stub
 .PHONY: packages
 packages:  # the package of each crate compiles without the rest of the repository, without and with its default features
 	rm -rf target/package
-	cargo package --workspace --exclude snake-rs-python --exclude snake-interop --allow-dirty --no-verify
+	cargo package --workspace --exclude snake-rs-python --allow-dirty --no-verify
 	cd target/package && for crate in *.crate; do tar -xmzf $$crate; done
 	cd target/package && { \
 		printf '[workspace]\nresolver = "3"\nmembers = ["*[0-9]"]\n[patch.crates-io]\n'; \
@@ -160,7 +158,7 @@ $(VENV)/site-ready: $(VENV)/ready
 site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
 	python3 tools/site.py
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --exclude snake-interop --no-deps
+	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --no-deps
 	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels

@@ -2,7 +2,6 @@
 
 import importlib.util
 import os
-import re
 import subprocess
 from pathlib import Path
 
@@ -55,8 +54,7 @@ def generate():
 def compiled():
     """The folder of the binaries and examples. `cargo test` has compiled them, so this takes no time after it."""
     root = Path(__file__).parents[1]
-    packages = re.search(r"^PACKAGES := (.+)$", (root / "Makefile").read_text(), re.MULTILINE)[1].split()
-    build = ["cargo", "build", "--release", *packages, "--lib", "--bins", "--tests", "--examples"]
+    build = ["cargo", "build", "--release", "--workspace", "--lib", "--bins", "--tests", "--examples"]
     subprocess.run(build, cwd=root, check=True, env=os.environ | {"PYO3_BUILD_EXTENSION_MODULE": "1"})
     return Path(os.environ.get("CARGO_TARGET_DIR", root / "target")) / "release"
 

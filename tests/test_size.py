@@ -6,23 +6,23 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MAX_LINES = {
-    "crates/snake-capi": 887,
-    "crates/snake-cli": 6360,
-    "crates/snake-core": 11819,
-    "crates/snake-detectors": 1242,
-    "crates/snake-geometry": 5402,
+    "crates/snake-capi": 907,
+    "crates/snake-cli": 6366,
+    "crates/snake-core": 11791,
+    "crates/snake-detectors": 1240,
+    "crates/snake-geometry": 5404,
     "crates/snake-io": 10558,
     "crates/snake-kernels": 2976,
-    "crates/snake-registration": 11020,
+    "crates/snake-registration": 10995,
     "crates/snake-tiles": 1847,
     "crates/snake-view": 575,
     "docs": 441,
     "examples": 500,
     "fuzz": 79,
     "python": 4537,
-    "tests": 4996,
+    "tests": 4929,
     "tools": 363,
-    "training": 13063,
+    "training": 13062,
 }
 
 

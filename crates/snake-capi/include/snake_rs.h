@@ -1,4 +1,4 @@
-// C interface of snake-rs. cbindgen writes this file: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-interop --test header
+// C interface of snake-rs. cbindgen writes this file: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-capi --test header
 
 #ifndef SNAKE_RS_H
 #define SNAKE_RS_H

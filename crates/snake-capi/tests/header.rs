@@ -4,7 +4,7 @@ use std::path::Path;
 
 #[test]
 fn the_header_is_current() {
-    let folder = &Path::new(env!("CARGO_MANIFEST_DIR")).join("../../crates/snake-capi");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut written = Vec::new();
     cbindgen::generate(folder).unwrap().write(&mut written);
     let written = String::from_utf8(written).unwrap();
@@ -15,6 +15,6 @@ fn the_header_is_current() {
     let committed = std::fs::read_to_string(&header).unwrap();
     assert!(
         committed == written,
-        "the header is old: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-interop --test header"
+        "the header is old: SNAKE_WRITE_HEADER=1 cargo test --release -p snake-capi --test header"
     );
 }
