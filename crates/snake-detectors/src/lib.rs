@@ -21,11 +21,10 @@ mod surface_variation;
 use std::collections::HashSet;
 
 use rand::SeedableRng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use snake_core::{Control, Error, Result};
-use snake_geometry::{FinitePoints, Neighbors, Point, Vector, vector};
+use snake_geometry::{FinitePoints, Neighbors, Point, Vector, try_in_parallel, vector};
 
 pub use farthest_point::farthest_points;
 pub use harris3d::{Harris3dOptions, harris3d, harris3d_with};
@@ -277,7 +276,7 @@ fn index_cloud(points: &[Point]) -> Result<Neighbors> {
 
 /// The value of each point, unless the call must stop.
 fn each_point<T: Send>(cloud: &Neighbors, control: &Control, value: impl Fn(&Vector) -> T + Sync) -> Result<Vec<T>> {
-    cloud.points.par_iter().map(|point| control.check().map(|()| value(point))).collect()
+    try_in_parallel(cloud.points.iter(), |point| control.check().map(|()| value(point)))
 }
 
 /// Non-maximum suppression: the indices of points that pass and that have no point with a higher
@@ -301,7 +300,7 @@ fn local_maxima(
         control.check()?;
         Ok(is_maximum(index).then(|| Response { index, score: scores[index] }))
     };
-    let maxima: Vec<Option<Response>> = (0..scores.len()).into_par_iter().map(maximum).collect::<Result<_>>()?;
+    let maxima = try_in_parallel(0..scores.len(), maximum)?;
     Ok(by_falling_score(maxima.into_iter().flatten().collect()))
 }
 

@@ -2,12 +2,11 @@
 
 use std::num::NonZeroUsize;
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Response, among_distinct, by_falling_score, each_point, index_cloud};
 use snake_core::{Control, Result};
-use snake_geometry::{Length, Neighbors, Point, Vector, eigen, options};
+use snake_geometry::{Length, Neighbors, Point, Vector, eigen, in_parallel, options};
 
 /// The search ends at an octave that has fewer points.
 const MIN_OCTAVE_POINTS: usize = 25;
@@ -173,7 +172,7 @@ fn extrema(cloud: &Neighbors, differences: &[Vec<f64>], min_contrast: f64) -> Ve
             .map(|scale| (cloud.points[index], contrast(scale)))
             .collect::<Vec<_>>()
     };
-    (0..cloud.points.len()).into_par_iter().flat_map_iter(extrema).collect()
+    in_parallel(0..cloud.points.len(), extrema).concat()
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@ mod clouds;
 mod error;
 mod near;
 mod options;
+mod parallel;
 mod record;
 mod setters;
 mod source;
@@ -38,6 +39,7 @@ pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_s
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};
+pub use parallel::{chunks_in_parallel, in_parallel, some_in_parallel, try_chunks_in_parallel, try_in_parallel};
 pub use record::{Record, RecordField, RecordInfo, RecordKind, RecordValue};
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{

@@ -1,11 +1,9 @@
 //! The corner response: how much the cloud looks like a corner, an end or a tip at a position.
 
-use rayon::prelude::*;
-
 use super::localize::Place;
 use crate::Result;
 use crate::field::Field;
-use snake_geometry::{Point, RadiusCells};
+use snake_geometry::{Point, RadiusCells, in_parallel};
 
 /// Radius of the neighbourhood, in voxels. Set by hand: on synthetic shapes, 3.2 found more landmarks than 1.6 and 2.4.
 const RADIUS: f32 = 3.0;
@@ -42,7 +40,7 @@ fn offsets(points: &[Point], positions: &[Point], radius: f32) -> Result<Vec<f32
         });
         sum.iter().map(|value| value * value).sum::<f32>().sqrt() / (count.max(1) as f32 * radius)
     };
-    Ok(positions.par_iter().map(offset).collect())
+    Ok(in_parallel(positions.iter(), offset))
 }
 
 #[cfg(test)]

@@ -1,9 +1,7 @@
 //! Mode seeking: keypoints move to where salient candidates are densest.
 
-use rayon::prelude::*;
-
 use crate::Result;
-use snake_geometry::{Point, RadiusCells, by_falling_score, keep_in_order};
+use snake_geometry::{Point, RadiusCells, by_falling_score, in_parallel, keep_in_order};
 
 /// The steps of the mean shift. Each step takes the mean of the candidates within a share of the radius, weighted
 /// by a power of their saliency. With a power of 8, a candidate a tenth less salient weighs about half as much. A
@@ -68,17 +66,16 @@ pub(crate) fn modes_of(
 fn shift(cells: &RadiusCells, scores: &[f32], starts: &[usize]) -> (Vec<Point>, Vec<f32>) {
     let radius = cells.radius();
     let weights = STEPS.map(|(_, power)| scores.iter().map(|score| score.powi(power)).collect::<Vec<_>>());
-    let mut modes: Vec<Point> = starts.iter().map(|&start| cells.points()[start]).collect();
-    let mut mode_scores: Vec<f32> = starts.iter().map(|&start| scores[start]).collect();
-    modes.par_iter_mut().zip(&mut mode_scores[..]).for_each(|(mode, score)| {
+    let modes = in_parallel(starts.iter(), |&start| {
+        let mut mode = cells.points()[start];
         for ((share, _), weights) in STEPS.iter().zip(&weights) {
-            *mode = weighted_mean(cells, weights, *mode, share * radius);
+            mode = weighted_mean(cells, weights, mode, share * radius);
         }
-        let mut best = *score;
-        cells.within(mode, SCORE_SHARE * radius, |index| best = best.max(scores[index]));
-        *score = 0.5 * (*score + best);
+        let mut best = scores[start];
+        cells.within(&mode, SCORE_SHARE * radius, |index| best = best.max(scores[index]));
+        (mode, 0.5 * (scores[start] + best))
     });
-    (modes, mode_scores)
+    modes.into_iter().unzip()
 }
 
 /// The weighted mean of the points within `radius` of a position; the position itself if all weights are zero.

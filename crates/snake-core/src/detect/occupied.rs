@@ -1,13 +1,11 @@
 //! The first step of Algorithm 1: the starting queries that lie on the surface.
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::control::{Control, Counter};
 use crate::field::{Field, Quantity};
 use crate::lattice::Queries;
 use crate::network::layers::TILE;
-use snake_geometry::Point;
+use snake_geometry::{Point, try_chunks_in_parallel};
 
 /// Queries in the network's frame, with their occupancy.
 #[derive(Debug, Default, PartialEq)]
@@ -50,7 +48,8 @@ fn append_occupied(
         return counter.check();
     }
     let mut occupancy = vec![0.0; queries.len()];
-    occupancy.par_chunks_mut(TILE).zip(queries.par_chunks(TILE)).try_for_each(|(occupancy, tile)| {
+    try_chunks_in_parallel(&mut occupancy, TILE, &|tile, occupancy| {
+        let tile = &queries[tile * TILE..][..occupancy.len()];
         counter.check()?;
         occupancy.copy_from_slice(&field.tile_values(Quantity::Occupancy, tile));
         counter.add(tile.len());

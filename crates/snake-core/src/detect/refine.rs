@@ -1,7 +1,5 @@
 //! Refinement: queries climb the saliency field (SNAKE Algorithm 1).
 
-use rayon::prelude::*;
-
 use super::occupied::Occupied;
 use crate::Result;
 use crate::control::{Control, Counter};
@@ -9,7 +7,7 @@ use crate::field::{Field, Quantity};
 use crate::lattice::Refined;
 use crate::network::layers::TILE;
 use crate::options::{DetectOptions, RefineMethod, Selection};
-use snake_geometry::Point;
+use snake_geometry::{Point, try_chunks_in_parallel};
 
 /// Moves each query by `refine_steps` steps and selects a position and a score for it.
 ///
@@ -25,8 +23,8 @@ pub(crate) fn refine(
     let number = positions.len();
     let counter = control.begin("refinement", number * (options.refine_steps + 1));
     let mut refined = vec![Refined::default(); number];
-    let tiles = refined.par_chunks_mut(TILE).zip(positions.par_chunks(TILE)).enumerate();
-    tiles.try_for_each(|(place, (refined, positions))| {
+    try_chunks_in_parallel(&mut refined, TILE, &|place, refined| {
+        let positions = &positions[place * TILE..][..refined.len()];
         let occupancy = occupancy.get(place * TILE..).unwrap_or_default();
         let tile = Tile { positions, occupancy: &occupancy[..occupancy.len().min(positions.len())] };
         refine_tile(field, tile, number, options, &counter, refined)

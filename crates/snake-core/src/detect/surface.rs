@@ -2,13 +2,11 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use rayon::prelude::*;
-
 use super::localize::{Patches, shows_surface};
 use super::modes::{Modes, weighted_mean};
 use crate::Result;
 use crate::field::Field;
-use snake_geometry::{Point, RadiusCells};
+use snake_geometry::{Point, RadiusCells, in_parallel};
 
 /// A mode moves to the most salient point within this many voxels. In an object of radius 1, a voxel is about 0.07 wide.
 const SEARCH: f32 = 2.0;
@@ -44,10 +42,10 @@ pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: 
         });
         best
     };
-    let bests: Vec<Option<usize>> = modes.positions.par_iter().map(most_salient).collect();
+    let bests = in_parallel(modes.positions.iter(), most_salient);
     let starts: BTreeSet<usize> = bests.iter().copied().flatten().collect();
     let moved = |&start: &usize| (start, (0..2).fold(points[start], |at, _| weighted_mean(&cells, &weights, at, mean)));
-    let moved: HashMap<usize, Point> = starts.par_iter().map(moved).collect();
+    let moved: HashMap<usize, Point> = in_parallel(starts.iter(), moved).into_iter().collect();
     let of_mode = |(mode, best): (&Point, Option<usize>)| best.map_or(*mode, |best| moved[&best]);
     let mut positions: Vec<Point> = modes.positions.iter().zip(bests).map(of_mode).collect();
     let mut ranks = modes.scores.clone();
@@ -58,7 +56,7 @@ pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: 
             cells.within(position, on, |_| is_near = true);
             is_near
         };
-        let on_already: Vec<bool> = modes.positions.par_iter().map(lies_on).collect();
+        let on_already = in_parallel(modes.positions.iter(), lies_on);
         for mode in (0..on_already.len()).filter(|&mode| on_already[mode]) {
             positions.push(modes.positions[mode]);
             ranks.push(scores[mode] - 1.0);

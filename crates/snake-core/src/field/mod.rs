@@ -1,5 +1,6 @@
 //! The field of one cloud: encode once, query many times.
 
+use snake_geometry::{chunks_in_parallel, in_parallel};
 mod copies;
 mod grid;
 mod surface;
@@ -11,8 +12,6 @@ pub use self::values::Quantity;
 pub(crate) use self::values::log_odds;
 
 use std::sync::Arc;
-
-use rayon::prelude::*;
 
 use self::copies::{Placement, RotatedCopy, encode_rotated_copies};
 use self::values::rotated;
@@ -249,7 +248,8 @@ impl Field {
         let channels = self.volume().channels;
         let queries = self.to_network(queries)?;
         let mut features = vec![0.0; queries.len() * channels];
-        features.par_chunks_mut(TILE * channels).zip(queries.par_chunks(TILE)).for_each(|(features, queries)| {
+        chunks_in_parallel(&mut features, TILE * channels, &|tile, features| {
+            let queries = &queries[tile * TILE..][..features.len() / channels];
             let mut copy_features = vec![0.0; features.len()];
             for RotatedCopy { rotation, volume } in &self.copies {
                 let rotated = rotated(rotation, queries);
@@ -267,22 +267,19 @@ impl Field {
     fn values(&self, quantity: Quantity, queries: &[Point]) -> Result<Vec<f32>> {
         let queries = self.to_network(queries)?;
         let mut values = vec![0.0; queries.len()];
-        let tiles = values.par_chunks_mut(TILE).zip(queries.par_chunks(TILE));
-        tiles.for_each(|(values, tile)| values.copy_from_slice(&self.tile_values(quantity, tile)));
+        chunks_in_parallel(&mut values, TILE, &|tile, values| {
+            values.copy_from_slice(&self.tile_values(quantity, &queries[tile * TILE..][..values.len()]));
+        });
         Ok(values)
     }
 
     fn values_and_gradients(&self, quantity: Quantity, queries: &[Point]) -> Result<(Vec<f32>, Vec<Point>)> {
         let per_cloud_unit = self.normalization.scale.recip();
         let queries = self.to_network(queries)?;
-        let (mut values, mut gradients) = (vec![0.0; queries.len()], vec![[0.0; 3]; queries.len()]);
-        let tiles = values.par_chunks_mut(TILE).zip(gradients.par_chunks_mut(TILE)).zip(queries.par_chunks(TILE));
-        tiles.for_each(|((values, gradients), tile)| {
-            let tile_results = self.tile_values_and_gradients(quantity, tile);
-            values.copy_from_slice(&tile_results.0);
-            gradients.iter_mut().zip(tile_results.1.iter()).for_each(|(to, g)| *to = g.map(|v| v * per_cloud_unit));
-        });
-        Ok((values, gradients))
+        let tiles = in_parallel(queries.chunks(TILE), |tile| self.tile_values_and_gradients(quantity, tile));
+        let (values, gradients): (Vec<_>, Vec<_>) = tiles.into_iter().unzip();
+        let gradients = gradients.concat().into_iter().map(|gradient| gradient.map(|v| v * per_cloud_unit)).collect();
+        Ok((values.concat(), gradients))
     }
 
     fn to_network(&self, queries: &[Point]) -> Result<Vec<Point>> {

@@ -1,6 +1,6 @@
 //! The blocks of each level of the U-Net.
 
-use rayon::prelude::*;
+use snake_geometry::in_parallel;
 use snake_kernels::BLOCK_SIDE;
 
 use super::blocks::{BlockGrid, children, half_of_parent, places_between};
@@ -74,7 +74,7 @@ pub(crate) fn levels(number: usize, FinestLevel { filled, near, all }: FinestLev
     for (level, grid) in grids.iter().enumerate() {
         let about = |grid: &BlockGrid, shift: u32| {
             let places: Vec<_> = grids[level].places().collect();
-            places.par_iter().map(|place| grid.about(place.map(|i| i >> shift))).collect()
+            in_parallel(places.iter(), |place| grid.about(place.map(|i| i >> shift)))
         };
         levels.push(Level {
             neighbors: about(grid, 0),

@@ -6,8 +6,7 @@
 //! survive.
 
 use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
-use snake_geometry::{Point, RadiusCells, eigen};
+use snake_geometry::{Point, RadiusCells, eigen, in_parallel};
 
 use super::queries::Refined;
 use crate::Result;
@@ -36,14 +35,15 @@ pub(super) fn lower_rims(refined: &mut [Refined], cells: &[Point]) -> Result<()>
     for query in refined.iter().filter(|query| query.score > 0.0) {
         around.within(&query.position, DISTANCE, |cell| is_asked[cell] = true);
     }
-    is_asked.par_iter_mut().enumerate().for_each(|(cell, asked)| *asked = *asked && is_on_rim(&around, cell));
-    refined.par_iter_mut().filter(|query| query.score > 0.0).for_each(|query| {
+    let is_on_rim = in_parallel(0..cells.len(), |cell| is_asked[cell] && is_on_rim(&around, cell));
+    let lowered = in_parallel(refined.iter(), |query| {
         let mut is_near = false;
-        around.within(&query.position, DISTANCE, |cell| is_near |= is_asked[cell]);
-        if is_near {
-            query.score *= SHARE;
+        if query.score > 0.0 {
+            around.within(&query.position, DISTANCE, |cell| is_near |= is_on_rim[cell]);
         }
+        if is_near { SHARE * query.score } else { query.score }
     });
+    refined.iter_mut().zip(lowered).for_each(|(query, score)| query.score = score);
     Ok(())
 }
 

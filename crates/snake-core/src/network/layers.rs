@@ -1,9 +1,8 @@
 //! Layers: they hold weights, check shapes and call kernels. Features are flat `(rows, width)`.
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::network::weights::Scope;
+use snake_geometry::chunks_in_parallel;
 use snake_kernels::{
     Buffer, BufferPool, ConstantRegion, Conv3d, Epilogue, GroupNorm, PackedConv3d, PackedLinear, SimdLevel, Source,
     channel_sums,
@@ -94,7 +93,7 @@ impl Tensor {
         let [_, height, width] = size;
         let mut pooled = pool.take(size.iter().product::<usize>() * channels);
         pooled.fill(f32::NEG_INFINITY);
-        pooled.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
+        chunks_in_parallel(&mut pooled, width * channels, &|row, out| {
             let (z, y) = (row / height, row % height);
             for corner in 0..4 {
                 let line = &self.line(2 * z + corner / 2, 2 * y + corner % 2)[..2 * width * channels];
@@ -115,7 +114,7 @@ impl Tensor {
         let ([_, height, width], channels) = (self.size, self.channels + coarse.channels);
         let mut joined = pool.take(self.voxels() * channels);
         let source = |axis: usize, i: usize| i * coarse.size[axis] / self.size[axis];
-        joined.par_chunks_mut(width * channels).enumerate().for_each(|(row, out)| {
+        chunks_in_parallel(&mut joined, width * channels, &|row, out| {
             let (z, y) = (row / height, row % height);
             let (fine_line, coarse_line) = (self.line(z, y), coarse.line(source(0, z), source(1, y)));
             for (x, out) in out.chunks_exact_mut(channels).enumerate() {
@@ -130,9 +129,10 @@ impl Tensor {
     /// A linear layer at each voxel (a 1x1x1 convolution).
     pub(crate) fn pointwise(&self, layer: &Linear, pool: &BufferPool) -> Buffer {
         let mut output = pool.take(self.voxels() * layer.outputs());
-        let chunks = self.values.par_chunks(TILE * self.channels);
-        let outputs = output.par_chunks_mut(TILE * layer.outputs());
-        outputs.zip(chunks).for_each(|(out, input)| layer.forward(input, out, Epilogue::Store));
+        chunks_in_parallel(&mut output, TILE * layer.outputs(), &|tile, out| {
+            let input = &self.values[tile * TILE * self.channels..][..out.len() / layer.outputs() * self.channels];
+            layer.forward(input, out, Epilogue::Store);
+        });
         output
     }
 

@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::{Error, KdTree, Result};
+use crate::{Error, KdTree, Result, in_parallel};
 
 /// Maximum number of neighbour pairs; more would take minutes or hours.
 const MAX_PAIRS: f64 = 1e10;
@@ -82,9 +82,9 @@ impl Neighbors {
         let are_distinct = self.tree.distinct().len() == self.points.len();
         let gap = |point: &[f64; 3]| self.tree.nearest_other(point).map_or(0.0, f64::sqrt);
         let nearest: Vec<f64> = if are_distinct {
-            self.points.par_iter().map(|&point| gap(&point.into())).collect()
+            in_parallel(self.points.iter(), |&point| gap(&point.into()))
         } else {
-            self.tree.distinct().par_iter().map(gap).collect()
+            in_parallel(self.tree.distinct().iter(), gap)
         };
         nearest.iter().sum::<f64>() / nearest.len() as f64
     }

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
-use crate::{KdTree, Point, PointTree, RadiusCells, Result};
+use crate::{KdTree, Point, PointTree, RadiusCells, Result, in_parallel};
 use snake_kernels::SimdLevel;
 
 /// Greedy non-maximum suppression. Returns the indices of the kept points, best first; each is farther than `radius` from
@@ -116,7 +116,7 @@ pub fn suppress_seen(points: &[Point], radius: f32, sees_all: impl Fn(usize) -> 
 pub fn nearest_points(points: &[Point], queries: &[Point]) -> Result<Vec<usize>> {
     // For a few hundred queries a linear search is faster than building a tree.
     if queries.len() < 256 {
-        return Ok(queries.par_iter().map(|&query| nearest_of_all(points, query)).collect());
+        return Ok(in_parallel(queries.iter(), |&query| nearest_of_all(points, query)));
     }
     let mut nearest = vec![(f32::INFINITY, 0); queries.len()];
     for (number, points) in points.chunks(TREE_POINTS).enumerate() {

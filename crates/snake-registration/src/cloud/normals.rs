@@ -1,9 +1,7 @@
 //! Normals of points, with a sign or without.
 
-use rayon::prelude::*;
-
 use snake_core::{Control, Error, Result};
-use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
+use snake_geometry::{Neighbors, Point, Vector, check_points, try_in_parallel, vector};
 
 /// Unit normals `(N, 3)`: the directions of least variance among the points closer than `radius`
 /// (cloud units).
@@ -72,7 +70,7 @@ pub(crate) fn normals(
         let is_behind = front.is_some_and(|front| normal.dot(&(front - point)) < 0.0);
         Ok(if is_behind { -normal } else { normal })
     };
-    cloud.points.par_iter().map(normal).collect()
+    try_in_parallel(cloud.points.iter(), normal)
 }
 
 #[cfg(test)]

@@ -6,13 +6,12 @@ use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
 use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
 
 use crate::cloud::planes::PlanePair;
 use crate::cloud::voxels::voxel_means;
 use crate::rigid::moved;
 use snake_core::{Counter, Result};
-use snake_geometry::{Neighbors, Point, Vector, eigen};
+use snake_geometry::{Neighbors, Point, Vector, eigen, in_parallel, some_in_parallel};
 
 /// Smallest side of a fine voxel. Unit: voxels. Set by hand.
 const MIN_SIDE: f64 = 0.125;
@@ -156,7 +155,7 @@ impl FineCloud {
         let kept: Vec<usize> = (0..points.len()).filter(is_new).collect();
         let place =
             |&index: &usize| Place { point: points[index], normal: self.patch(index).map(|patch| patch.normal) };
-        kept.par_iter().step_by(kept.len().div_ceil(count).max(1)).map(place).collect()
+        in_parallel(kept.iter().step_by(kept.len().div_ceil(count).max(1)), place)
     }
 
     /// At most `count` of the fine voxels under a transform. Voxels that are then `max_distance` or
@@ -187,7 +186,7 @@ impl FineCloud {
             Some(Place { point: points[index], normal }.moved(&transform))
         };
         let step = points.len().div_ceil(count).max(1);
-        (0..points.len()).into_par_iter().step_by(step).filter_map(place).collect()
+        some_in_parallel((0..points.len()).step_by(step), place)
     }
 
     /// Whether a place lies on the nearest surface; `None` if no surface is near, and if the place may lie in a gap between
@@ -253,8 +252,8 @@ pub(crate) fn overlap(
         Some((thin, (cosine.abs() > AGREEING_NOISY_COSINE).then_some(weighed)))
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
-    let indices = (0..source.cloud.points.len()).into_par_iter().step_by(step);
-    let pairs: Vec<Option<_>> = indices.filter_map(near).map(pair).collect();
+    let indices = (0..source.cloud.points.len()).step_by(step);
+    let pairs = some_in_parallel(indices, |index| near(index).map(pair));
     let count = pairs.len().max(1) as f64;
     let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
     let (patches, told): (Vec<PlanePair>, Vec<[bool; 2]>) = thin.into_iter().flatten().unzip();

@@ -2,11 +2,10 @@
 //! the planes.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
-use rayon::prelude::*;
 
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;
-use snake_geometry::Vector;
+use snake_geometry::{Vector, some_in_parallel};
 
 /// A direction is open if the mean squared cosine between it and the normals is below this. Half and twice change no
 /// outcome.
@@ -29,7 +28,7 @@ pub(crate) fn plane_pairs(source: &[Vector], target: &Surface, transform: &Isome
         let normal = target.normals[index];
         Some(PlanePair { point, normal, distance: normal.dot(&(target.points[index] - point)) })
     };
-    source.par_iter().filter_map(pair).collect()
+    some_in_parallel(source.iter(), pair)
 }
 
 /// Every `step`-th point of source and target, each with the nearest point of the other cloud;
@@ -56,9 +55,9 @@ pub(crate) fn symmetric_pairs(
         let (nearest, _) = source.grid.nearest(&moved(&inverse, &target.points[index]))?;
         pair(moved(transform, &source.points[nearest]), [nearest, index])
     };
-    let indices = |surface: &Surface| (0..surface.points.len()).into_par_iter().step_by(step);
-    let mut pairs: Vec<PlanePair> = indices(source).filter_map(forth).collect();
-    pairs.par_extend(indices(target).filter_map(back));
+    let indices = |surface: &Surface| (0..surface.points.len()).step_by(step);
+    let mut pairs = some_in_parallel(indices(source), forth);
+    pairs.extend(some_in_parallel(indices(target), back));
     pairs
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::cloud::depth_image::{COARSE, DepthImage, FINE, Sight};
 use crate::cloud::near_grid::NearGrid;
 use crate::rigid::moved;
-use snake_geometry::Vector;
+use snake_geometry::{Vector, some_in_parallel};
 
 /// Two normals agree if their cosine is above this. Set by hand.
 pub(crate) const AGREEING_COSINE: f64 = 0.7;
@@ -99,19 +99,20 @@ impl<'a> Surface<'a> {
     /// Compares every `step`-th point of the source, and as many of the target, with the other
     /// surface.
     pub(crate) fn agreement(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>, step: usize) -> Agreement {
-        let on_target = |index: &usize| source.is_on(*index, target, transform);
-        let indices = |surface: &Self, step| (0..surface.points.len()).into_par_iter().step_by(step);
+        let on_target = |index| source.is_on(index, target, transform);
+        let count = |surface: &Self, step, is_one: &(dyn Fn(usize) -> bool + Sync)| {
+            some_in_parallel((0..surface.points.len()).step_by(step), |index| is_one(index).then_some(())).len()
+        };
         let source_count = source.points.len().div_ceil(step);
-        let overlapping = indices(source, step).filter(on_target).count();
+        let overlapping = count(source, step, &on_target);
         let target_step = target.points.len().div_ceil(source_count);
         let target_count = target.points.len().div_ceil(target_step);
         let inverse = transform.inverse();
-        let violating = indices(source, step).filter(|&i| target.saw_through(&moved(transform, &source.points[i])));
-        let seen_through =
-            indices(target, target_step).filter(|&i| source.saw_through(&moved(&inverse, &target.points[i])));
+        let violating = count(source, step, &|i| target.saw_through(&moved(transform, &source.points[i])));
+        let seen_through = count(target, target_step, &|i| source.saw_through(&moved(&inverse, &target.points[i])));
         Agreement {
             overlap: overlapping as f64 / source_count as f64,
-            violation: (violating.count() + seen_through.count()) as f64 / (source_count + target_count) as f64,
+            violation: (violating + seen_through) as f64 / (source_count + target_count) as f64,
         }
     }
 
@@ -138,8 +139,8 @@ impl<'a> Surface<'a> {
             let (other, _) = target.grid.nearest(&moved(transform, &source.points[index]))?;
             Some((transform.rotation * source.normals[index]).dot(&target.normals[other]))
         };
-        let cosines = (0..source.points.len()).into_par_iter().filter_map(cosine);
-        let parallel: Vec<f64> = cosines.filter(|cosine| cosine.abs() > AGREEING_COSINE).collect();
+        let mut parallel = some_in_parallel(0..source.points.len(), cosine);
+        parallel.retain(|cosine| cosine.abs() > AGREEING_COSINE);
         parallel.iter().filter(|cosine| **cosine < 0.0).count() as f64 / parallel.len().max(1) as f64
     }
 
@@ -159,8 +160,8 @@ impl<'a> Surface<'a> {
     ) -> f64 {
         let free = |surface: &Self, image: &Option<DepthImage>, transform: &IsometryMatrix3<f64>| {
             let Some(image) = image else { return 0 };
-            let points = surface.points.par_iter().step_by(step);
-            points.filter(|point| image.sight(&moved(transform, point)) == Sight::Free).count()
+            let is_free = |point| (image.sight(&moved(transform, point)) == Sight::Free).then_some(());
+            some_in_parallel(surface.points.iter().step_by(step), is_free).len()
         };
         let count = free(source, target_image, transform) + free(target, source_image, &transform.inverse());
         let points = source.points.len().div_ceil(step) + target.points.len().div_ceil(step);

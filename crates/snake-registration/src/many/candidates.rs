@@ -1,11 +1,10 @@
 //! Pairs of clouds that are worth a registration, by the statistics of their descriptors.
 
-use rayon::prelude::*;
-
 use snake_core::{Control, Result};
 
 use crate::steps::PreparedCloud;
 use crate::steps::describe::{Rows, describe_cloud};
+use snake_geometry::in_parallel;
 
 /// Number of visual words: groups of similar descriptors. Set by hand.
 const WORDS: usize = 64;
@@ -42,7 +41,7 @@ fn similarities(clouds: &[PreparedCloud], control: &Control) -> Result<Vec<Vec<f
     let dimension = described[0].dimension();
     let rows: Vec<&[f32]> = described.iter().map(Rows::values).collect();
     let words = words(&rows, dimension, control)?;
-    let vectors: Vec<Vec<f32>> = rows.par_iter().map(|rows| aggregate(rows, &words, dimension)).collect();
+    let vectors: Vec<Vec<f32>> = in_parallel(rows.iter(), |rows| aggregate(rows, &words, dimension));
     let product = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
     Ok(vectors.iter().map(|a| vectors.iter().map(|b| product(a, b)).collect()).collect())
 }
@@ -62,7 +61,7 @@ fn words(rows: &[&[f32]], dimension: usize, control: &Control) -> Result<Vec<f32
     let mut words: Vec<f32> = first.flat_map(|row| row.iter().copied()).collect();
     for _ in 0..WORD_ROUNDS {
         control.check()?;
-        let members: Vec<usize> = sample.par_iter().map(|row| nearest(row, &words, dimension)).collect();
+        let members: Vec<usize> = in_parallel(sample.iter(), |row| nearest(row, &words, dimension));
         let mut sums = vec![0.0_f32; words.len()];
         let mut counts = vec![0_u32; words.len() / dimension];
         for (row, word) in sample.iter().zip(members) {

@@ -14,10 +14,8 @@ mod tests;
 
 use std::time::Instant;
 
-use rayon::prelude::*;
-
 use snake_core::{Control, Error, Model, Result};
-use snake_geometry::Point;
+use snake_geometry::{Point, try_in_parallel};
 
 use crate::options::{AlignOptions, AlignPriors, RegisterOptions};
 use crate::steps::PreparedCloud;
@@ -132,10 +130,11 @@ fn units_notes(clouds: &[PreparedCloud]) -> Vec<String> {
 fn describe_all(clouds: &[PreparedCloud], control: &Control) -> Result<()> {
     let counter = control.begin("descriptors", clouds.len());
     let inner = control.without_progress();
-    clouds.par_iter().try_for_each(|cloud| {
+    let described = try_in_parallel(clouds.iter(), |cloud| {
         counter.check()?;
         describe_cloud(cloud, cloud.viewpoint.is_some(), &inner)?;
         counter.add(1);
         Ok(())
-    })
+    });
+    described.map(drop)
 }

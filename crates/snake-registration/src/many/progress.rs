@@ -1,9 +1,7 @@
 //! The steps from pairs of clouds to poses, with the notes that they collect.
 
-use rayon::prelude::*;
-
 use snake_core::{Control, Error, Result};
-use snake_geometry::RigidTransform;
+use snake_geometry::{RigidTransform, try_in_parallel};
 
 use super::priors::{Checked, Priors};
 use super::solved::{Solved, believed, solve};
@@ -162,6 +160,5 @@ fn register_each<T: Sync>(
             other => other,
         }
     };
-    let registered: Vec<Option<Registered>> = trials.par_iter().map(one).collect::<Result<_>>()?;
-    Ok(registered.into_iter().flatten().collect())
+    Ok(try_in_parallel(trials.iter(), one)?.into_iter().flatten().collect())
 }

@@ -1,9 +1,7 @@
 //! Poses that fit the points of all clouds at once.
 
-use rayon::prelude::*;
-
 use snake_core::{Counter, Result};
-use snake_geometry::Vector;
+use snake_geometry::{Vector, some_in_parallel};
 
 use super::graph::Part;
 use super::pose_graph::{Link, least_squares};
@@ -39,7 +37,7 @@ pub(super) fn refine(
             let (t_target_source, information) = remeasure(pair, &by_poses, step)?;
             Some(Link { source, target, t_target_source, information })
         };
-        let links: Vec<Link> = pairs.par_iter().filter_map(measure).collect();
+        let links: Vec<Link> = some_in_parallel(pairs.iter(), measure);
         if links.is_empty() {
             break;
         }

@@ -3,10 +3,9 @@
 use std::collections::{HashMap, HashSet};
 
 use nalgebra::Matrix6;
-use rayon::prelude::*;
 
 use snake_core::{Control, Result};
-use snake_geometry::Vector;
+use snake_geometry::{Vector, in_parallel, some_in_parallel};
 
 use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
@@ -99,7 +98,7 @@ fn surfaces<'a>(part: &Part, cloud: impl Fn(usize) -> &'a PreparedCloud + Sync) 
         let cloud = cloud(index);
         cloud.surface(cloud.viewpoint.is_some(), cloud.lengths.inlier_distance)
     };
-    part.clouds.par_iter().map(surface).collect()
+    in_parallel(part.clouds.iter(), surface)
 }
 
 impl Solved {
@@ -222,7 +221,7 @@ fn overlapping(part: &Part, pyramid: &Pyramid, min_overlap: f64) -> Vec<[usize; 
             |probe: &&Vector| target.distance(&moved(&transform, probe)) < OVERLAP_DISTANCE * inlier_distance;
         probes.iter().filter(is_close).count() as f64 >= min_overlap * probes.len() as f64
     };
-    all.into_par_iter().filter(overlap).collect()
+    some_in_parallel(all.iter(), |pair| overlap(pair).then_some(*pair))
 }
 
 /// Sample points of a cloud, which measure how far it moves.

@@ -17,14 +17,13 @@ use std::borrow::Cow;
 use std::collections::HashSet;
 
 use nalgebra::{Matrix3, SymmetricEigen};
-use rayon::prelude::*;
 
 pub(crate) use self::patches::Patches;
 use self::patches::{Anchors, Sums, cell_of, first_of_cells};
 use crate::Result;
 use crate::field::Field;
 use crate::options::Preference;
-use snake_geometry::{Covariance, Point, Vector, resolution, vector};
+use snake_geometry::{Covariance, Point, Vector, in_parallel, resolution, some_in_parallel, vector};
 
 /// Radius of the neighbourhood in voxels, for scenes and objects. Voxels of a scene are about as wide as its point spacing.
 const RADIUS: [f32; 2] = [5.0, 2.2];
@@ -158,15 +157,14 @@ pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> 
         return Ok(false);
     }
     let number = patches.anchors.points().len();
-    let is_certain = |anchor: &usize| patches.at(*anchor).is_some_and(|patch| patch.is_certain());
-    let asked: Vec<usize> = (0..number).step_by(number.div_ceil(SURVEY).max(1)).collect();
-    let certain = asked.par_iter().filter(|anchor| is_certain(anchor)).count();
-    Ok(certain as f32 > SHOWN * asked.len() as f32)
+    let asked = (0..number).step_by(number.div_ceil(SURVEY).max(1));
+    let certain = some_in_parallel(asked.clone(), |anchor| patches.at(anchor).filter(|patch| patch.is_certain()));
+    Ok(certain.len() as f32 > SHOWN * asked.len() as f32)
 }
 
 /// Localizes keypoints on the planar patches around them.
 pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
-    keypoints.par_iter().map(|keypoint| place(patches, *keypoint)).collect()
+    in_parallel(keypoints.iter(), |keypoint| place(patches, *keypoint))
 }
 
 fn place(patches: &Patches, keypoint: Point) -> Place {

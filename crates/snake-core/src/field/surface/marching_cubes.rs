@@ -1,9 +1,8 @@
 //! Marching cubes: converts samples to triangles with shared vertices.
 
-use rayon::prelude::*;
-
 use super::cube;
 use super::samples::{Sample, Samples};
+use snake_geometry::in_parallel;
 
 /// A vertex: the point where the surface crosses an edge of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,18 +25,17 @@ impl Surface {
     /// The closed surface between occupied and empty samples. Each edge belongs to two triangles.
     pub(super) fn of(samples: &Samples) -> Self {
         let known = samples.known();
-        let crossings: Vec<Crossing> = known.par_iter().flat_map_iter(|&block| crossings(samples, block)).collect();
+        let crossings: Vec<Crossing> = in_parallel(known.iter(), |&block| crossings(samples, block)).concat();
         let case_triangles = cube::triangles();
-        let triangles = known.par_iter().flat_map_iter(|&block| {
+        let triangles = in_parallel(known.iter(), |&block| {
             let cells = samples.block_samples(block).flat_map(|low| {
                 case_triangles[case(samples, low)]
                     .iter()
                     .map(move |triangle| triangle.map(|(corner, axis)| samples.edge(place(low, corner), axis)))
             });
-            cells.map(|edges| edges.map(|edge| vertex(&crossings, edge)))
+            cells.map(|edges| edges.map(|edge| vertex(&crossings, edge))).collect::<Vec<_>>()
         });
-        let triangles = triangles.collect();
-        Self { crossings, triangles }
+        Self { crossings, triangles: triangles.concat() }
     }
 }
 

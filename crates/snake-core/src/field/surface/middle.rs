@@ -1,11 +1,9 @@
 //! The middle of a shell: the ridge of the occupancy, where the surface of the cloud lies.
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::control::Counter;
 use crate::network::layers::TILE;
-use snake_geometry::Point;
+use snake_geometry::{Point, try_chunks_in_parallel};
 
 /// Distance between two samples of the occupancy, in voxels. On the objects used for tuning, half of it gives equally accurate
 /// surfaces, and twice as much less accurate ones.
@@ -25,7 +23,8 @@ pub(super) fn move_to_middle(
     counter: &Counter,
 ) -> Result<()> {
     let step = STEP * voxel_size;
-    vertices.par_chunks_mut(TILE).zip(normals.par_chunks(TILE)).try_for_each(|(vertices, normals)| {
+    try_chunks_in_parallel(vertices, TILE, &|tile, vertices| {
+        let normals = &normals[tile * TILE..][..vertices.len()];
         counter.check()?;
         counter.add(vertices.len());
         let inwards = |(vertex, normal): (&Point, &[f32; 3]), distance: f32| -> Point {

@@ -8,15 +8,13 @@ mod samples;
 #[cfg(test)]
 mod tests;
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::control::Control;
 use crate::field::grid::coordinate;
 use crate::field::{Field, Quantity, log_odds};
 use crate::network::layers::TILE;
 use crate::options::{MeshOptions, MeshSurface};
-use snake_geometry::{Mesh, Point, unit};
+use snake_geometry::{Mesh, Point, in_parallel, try_in_parallel, unit};
 
 use marching_cubes::{Crossing, Surface};
 use samples::{Sample, Samples};
@@ -118,15 +116,14 @@ impl<'a> Grid<'a> {
             control.check()?;
         }
         let num_removed = options.outer.then(|| num_all - surface.triangles.len());
-        let vertices: Vec<Point> =
-            surface.crossings.par_iter().map(|crossing| self.vertex(&samples, crossing)).collect();
+        let vertices = in_parallel(surface.crossings.iter(), |crossing| self.vertex(&samples, crossing));
         let counter = control.begin("normals", vertices.len());
-        let gradients = vertices.par_chunks(TILE).map(|tile| {
+        let gradients = try_in_parallel(vertices.chunks(TILE), |tile| {
             counter.check()?;
             counter.add(tile.len());
             Ok(self.field.tile_values_and_gradients(Quantity::Occupancy, tile).1)
         });
-        let gradients = gradients.collect::<Result<Vec<Vec<Point>>>>()?.concat();
+        let gradients = gradients?.concat();
         let normalization = self.field.normalization();
         let mut mesh = Mesh {
             vertices: vertices.into_iter().map(|vertex| normalization.to_cloud(vertex)).collect(),

@@ -1,9 +1,8 @@
 //! Samples of a function on a regular grid, taken only near its surface.
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::control::{Control, Counter};
+use snake_geometry::{in_parallel, try_in_parallel};
 
 /// Samples per axis of a block.
 const SIDE: usize = 4;
@@ -55,12 +54,11 @@ impl Samples {
             let near = blocks.zip(values).filter(|&(block, value)| value > level || is_likely[block]);
             Ok(near.map(|(block, _)| block).collect())
         };
-        let tiles = (0..number.div_ceil(VOLUME)).into_par_iter().map(search);
-        let mut wanted = tiles.collect::<Result<Vec<_>>>()?.concat();
+        let mut wanted = try_in_parallel(0..number.div_ceil(VOLUME), search)?.concat();
         while !wanted.is_empty() {
             samples.ask(&wanted, &value, &control.begin("occupancy", wanted.len()))?;
-            wanted = wanted.par_iter().flat_map_iter(|&block| samples.unknown_beside_occupied(block)).collect();
-            wanted.par_sort_unstable();
+            wanted = in_parallel(wanted.iter(), |&block| samples.unknown_beside_occupied(block)).concat();
+            wanted.sort_unstable();
             wanted.dedup();
         }
         Ok(samples)
@@ -73,7 +71,7 @@ impl Samples {
         value: &(impl Fn(&[Sample]) -> Vec<f32> + Sync),
         counter: &Counter,
     ) -> Result<()> {
-        let values = blocks.par_iter().map(|&block| {
+        let values = try_in_parallel(blocks.iter(), |&block| {
             counter.check()?;
             // The last block along an axis can extend beyond the grid.
             let inside = |sample: &Sample| sample.iter().all(|&i| i < self.resolution);
@@ -86,11 +84,10 @@ impl Samples {
             }
             Ok(values)
         });
-        let values: Vec<_> = values.collect::<Result<_>>()?;
         for (&block, slot) in blocks.iter().zip(self.values.len() as u32..) {
             self.slots[block] = Some(slot);
         }
-        self.values.extend(values);
+        self.values.extend(values?);
         Ok(())
     }
 

@@ -1,7 +1,5 @@
 //! The encoder of a cube: voxels from points, then a dense U-Net.
 
-use rayon::prelude::*;
-
 use super::EncoderMemory;
 use super::pointnet::PointNet;
 use super::scatter_dense as scatter;
@@ -14,7 +12,7 @@ use crate::network::config::{ModelConfig, Scatter};
 use crate::network::layers::Tensor;
 use crate::network::volume::Volume;
 use crate::network::weights::Scope;
-use snake_geometry::Point;
+use snake_geometry::{Point, chunks_in_parallel};
 use snake_kernels::{ConstantRegion, channel_sums};
 
 /// The encoder of a model whose volume is a cube.
@@ -79,7 +77,7 @@ impl DenseEncoder {
     pub(crate) fn scatter(&self, means: &[f32], groups: &VoxelGroups) -> Tensor {
         let (size, channels) = (self.frame.size(), self.points.channels());
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
-        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        chunks_in_parallel(&mut values, size[1] * size[2] * channels, &|_, plane| plane.fill(0.0));
         write_rows(means, groups, channels, &mut values);
         let constant = Some(ConstantRegion::around(size, groups.voxels()));
         Tensor { size, channels, values, sums: channel_sums(means, channels), constant }
@@ -97,7 +95,7 @@ impl DenseEncoder {
             |point: Point, feature: &[f32], slots: &mut [f32]| scatter::spread(&self.frame, point, feature, slots);
         self.points.voxel_sums(groups, point, scatter::slots_width(channels), spread, slots, counter)?;
         let mut values = self.unet.pool.take(size.iter().product::<usize>() * channels);
-        values.par_chunks_mut(size[1] * size[2] * channels).for_each(|plane| plane.fill(0.0));
+        chunks_in_parallel(&mut values, size[1] * size[2] * channels, &|_, plane| plane.fill(0.0));
         counter.check()?;
         let touched = scatter::gather(&self.frame, groups, slots, &mut values, counter)?;
         let sums = channel_sums(&values, channels);

@@ -3,8 +3,6 @@
 //! Voxels are independent of each other. The network therefore processes a few voxels at a time through all blocks and
 //! stores only the sums of their features, so memory does not grow with the number of points.
 
-use rayon::prelude::*;
-
 use super::pointnet_blocks::{FirstBlock, PooledBlock, VoxelTerms};
 use crate::Result;
 use crate::control::Counter;
@@ -12,7 +10,7 @@ use crate::lattice::VoxelGroups;
 use crate::network::config::ModelConfig;
 use crate::network::layers::{Linear, TILE};
 use crate::network::weights::Scope;
-use snake_geometry::Point;
+use snake_geometry::{Point, in_parallel, try_in_parallel};
 use snake_kernels::{Epilogue, SimdLevel, max_rows};
 
 /// Points in the voxels of one task: their features fit the second-level cache.
@@ -129,7 +127,7 @@ impl PointNet {
                 counter.add(chunk.len());
                 Ok(most)
             };
-            let maxima_by_chunk: Vec<Vec<f32>> = points.par_chunks(CHUNK).map(chunk_maxima).collect::<Result<_>>()?;
+            let maxima_by_chunk = try_in_parallel(points.chunks(CHUNK), chunk_maxima)?;
             let mut most = vec![f32::NEG_INFINITY; self.hidden];
             maxima_by_chunk
                 .iter()
@@ -138,12 +136,11 @@ impl PointNet {
         }
         for points in points.chunks(LARGE) {
             counter.check()?;
-            let outputs = points.par_chunks(TILE).map(|tile| {
+            let outputs = in_parallel(points.chunks(TILE), |tile| {
                 let mut output = vec![0.0; tile.len() * self.channels()];
                 self.fc_c.forward(&self.features_after(&terms, tile), &mut output, Epilogue::Store);
                 output
             });
-            let outputs: Vec<Vec<f32>> = outputs.collect();
             let features = outputs.iter().flat_map(|output| output.chunks_exact(self.channels()));
             points.iter().zip(features).for_each(|(&point, feature)| add(point, feature, sums));
             counter.add(2 * points.len());

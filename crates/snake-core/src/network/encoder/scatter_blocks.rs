@@ -3,11 +3,10 @@
 //! The weights w are those of trilinear interpolation. A node of mass m = Σ w holds Σ w · feature / max(m, m0). The mass m0
 //! is fixed in the weight file, so a node depends only on the points of its eight cells.
 
-use rayon::prelude::*;
 use snake_kernels::{BLOCK_VOXELS, Corners, SimdLevel, add_weighted};
 
 use crate::lattice::BlockGrid;
-use snake_geometry::Point;
+use snake_geometry::{Point, chunks_in_parallel};
 
 /// Number of values in a cell's eight slots, one for each corner: sums of `channels` features and a mass.
 pub(super) fn slots_width(channels: usize) -> usize {
@@ -35,7 +34,8 @@ pub(super) fn gather(
     let mut rows = vec![0_u32; (grid.len() + 1) * BLOCK_VOXELS];
     (1..).zip(cells).for_each(|(row, &cell)| rows[grid.node(cell) as usize] = row);
     let slot = |row: u32, corner: usize| &slots[((row as usize - 1) * 8 + corner) * (channels + 1)..][..channels + 1];
-    nodes.par_chunks_mut(BLOCK_VOXELS * channels).zip(neighbors).for_each(|(nodes, neighbors)| {
+    chunks_in_parallel(nodes, BLOCK_VOXELS * channels, &|block, nodes| {
+        let neighbors = &neighbors[block];
         for (voxel, node) in nodes.chunks_exact_mut(channels).enumerate() {
             node.fill(0.0);
             let mut mass = 0.0;

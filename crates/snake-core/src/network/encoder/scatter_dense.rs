@@ -9,13 +9,11 @@
 //! a voxel's points. Then each voxel adds the slots of the voxels around it that contribute to it. Memory does not grow
 //! with the number of points, and the bits do not depend on the number of threads.
 
-use rayon::prelude::*;
-
 use crate::Result;
 use crate::control::Counter;
 use crate::lattice::VolumeFrame;
 use crate::lattice::VoxelGroups;
-use snake_geometry::Point;
+use snake_geometry::{Point, try_chunks_in_parallel};
 use snake_kernels::{Corners, SimdLevel, add_weighted};
 
 /// Number of voxels to which the points of one voxel contribute: itself and its neighbours, x fastest.
@@ -75,7 +73,7 @@ pub(super) fn gather(
     };
     let plane = num_voxels / depth;
     let mut masses = vec![0.0_f32; num_voxels];
-    masses.par_chunks_mut(plane).enumerate().try_for_each(|(z, masses)| {
+    try_chunks_in_parallel(&mut masses, plane, &|z, masses| {
         let mass = |voxel: usize| reaching(voxel).map(|slot| slot[channels]).sum();
         masses.iter_mut().enumerate().for_each(|(i, voxel_mass)| *voxel_mass = mass(z * plane + i));
         counter.check()
@@ -83,7 +81,7 @@ pub(super) fn gather(
     let touched: Vec<usize> = (0..num_voxels).filter(|&voxel| masses[voxel] > 0.0).collect();
     let total: f64 = touched.iter().map(|&voxel| f64::from(masses[voxel])).sum();
     let typical = (total / touched.len().max(1) as f64) as f32;
-    values.par_chunks_mut(plane * channels).enumerate().try_for_each(|(z, values)| {
+    try_chunks_in_parallel(values, plane * channels, &|z, values| {
         for (i, values) in values.chunks_exact_mut(channels).enumerate() {
             let voxel = z * plane + i;
             if masses[voxel] > 0.0 {

@@ -1,8 +1,8 @@
 //! The U-Net on blocks. It has the shape of the dense one, but its convolutions have a bias instead of a normalisation.
 
+use snake_geometry::chunks_in_parallel;
 use std::ops::Range;
 
-use rayon::prelude::*;
 use snake_kernels::{
     BLOCK_VOXELS, BlockActivation, BlockConv3d, BlockSource, Buffer, BufferPool, Epilogue, PackedConv3d, SimdLevel,
     conv3d_blocks,
@@ -252,8 +252,10 @@ impl BlockUnet {
         let (channels, outputs) = (self.channels[0], self.final_conv.outputs());
         let output = places[0].result.len() / channels * outputs;
         let [made, values] = two(&mut memory, &places[0].result, &(0..output));
-        let rows = values.par_chunks_mut(TILE * outputs).zip(made.par_chunks(TILE * channels));
-        rows.for_each(|(out, input)| self.final_conv.forward(input, out, Epilogue::Store));
+        chunks_in_parallel(values, TILE * outputs, &|tile, out| {
+            let input = &made[tile * TILE * channels..][..out.len() / outputs * channels];
+            self.final_conv.forward(input, out, Epilogue::Store);
+        });
         memory.truncate(output);
         Ok(memory)
     }
@@ -274,7 +276,8 @@ fn max_pool(values: &[f32], channels: usize, coarser: &Level, pooled: &mut [f32]
     let block = BLOCK_VOXELS * channels;
     let (missing, stored) = pooled.split_at_mut(block);
     missing.fill(0.0);
-    stored.par_chunks_mut(block).zip(&coarser.children).for_each(|(pooled, children)| {
+    chunks_in_parallel(stored, block, &|number, pooled| {
+        let children = &coarser.children[number];
         for (voxel, out) in pooled.chunks_exact_mut(channels).enumerate() {
             let [x, y, z] = [voxel % 4, voxel / 4 % 4, voxel / 16];
             let child = children[(z / 2 * 2 + y / 2) * 2 + x / 2] as usize;

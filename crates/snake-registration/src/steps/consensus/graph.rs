@@ -2,10 +2,9 @@
 
 use std::cmp::Reverse;
 
-use rayon::prelude::*;
-
 use crate::steps::matches::{self, Criteria, Match};
 use snake_core::{Counter, Result};
+use snake_geometry::{in_parallel, try_in_parallel};
 
 /// Two matches are incompatible if the cosine between their normals, or between a normal and the
 /// connecting line, differs by this or more between the clouds. Half and twice change no outcome.
@@ -43,8 +42,7 @@ impl Graph {
             }
             Ok(row)
         };
-        let rows: Vec<Vec<u64>> = (0..matches.len()).into_par_iter().map(row).collect::<Result<_>>()?;
-        Ok(Self { words, bits: rows.into_iter().flatten().collect() })
+        Ok(Self { words, bits: try_in_parallel(0..matches.len(), row)?.concat() })
     }
 
     fn row(&self, i: usize) -> &[u64] {
@@ -60,7 +58,7 @@ impl Graph {
     /// At most `count` matches with the greatest sums of common neighbours, greatest first.
     pub(super) fn seeds(&self, count: usize) -> Vec<usize> {
         let sum = |i| self.neighbors(i).map(|(_, common)| u64::from(common)).sum::<u64>();
-        let sums: Vec<u64> = (0..self.bits.len() / self.words.max(1)).into_par_iter().map(sum).collect();
+        let sums: Vec<u64> = in_parallel(0..self.bits.len() / self.words.max(1), sum);
         let mut seeds: Vec<usize> = (0..sums.len()).filter(|&i| sums[i] > 0).collect();
         seeds.sort_by_key(|&i| (Reverse(sums[i]), i));
         seeds.truncate(count);

@@ -9,14 +9,13 @@
 mod graph;
 
 use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
 
 use crate::rigid::{best_fit, best_fit_about, displacement};
 use crate::steps::matches::{Criteria, Match};
 use crate::steps::refine;
 use graph::Graph;
 use snake_core::{Control, Error, Result};
-use snake_geometry::{RigidTransform, Vector};
+use snake_geometry::{RigidTransform, Vector, try_in_parallel};
 
 /// Number of transforms that `register` compares on the clouds, at most. Half and twice change no outcome.
 pub(crate) const CANDIDATES: usize = 20;
@@ -57,11 +56,11 @@ pub fn consensus(
     let counter = control.begin("consistency", matches.len());
     let graph = Graph::new(matches, criteria, &counter)?;
     let seeds = graph.seeds(MAX_SEEDS);
-    let supported = seeds.par_iter().map(|&seed| {
+    let supported = try_in_parallel(seeds.iter(), |&seed| {
         counter.check()?;
         Ok(fit_group(&graph.group(seed, GROUP), matches, criteria))
     });
-    let mut supported: Vec<Supported> = supported.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    let mut supported: Vec<Supported> = supported?.into_iter().flatten().collect();
     // The sort is stable: the order of the seeds decides ties.
     supported.sort_by(|a, b| b.support.total_cmp(&a.support));
     let distinct = distinct(&supported, matches, criteria.inlier_distance, count);

@@ -2,12 +2,10 @@
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
-use rayon::prelude::*;
-
 use crate::cloud::near_grid::NearGrid;
 use crate::cloud::normals::check_radius;
 use snake_core::{Control, Error, Result};
-use snake_geometry::{Neighbors, Point, Vector, check_points, vector};
+use snake_geometry::{Neighbors, Point, Vector, check_points, try_in_parallel, vector};
 
 /// Length of a descriptor: three histograms of 11 bins.
 pub const FPFH_DIMENSION: usize = 3 * BINS;
@@ -70,12 +68,12 @@ pub(crate) fn descriptors(
         counter.add(1);
         counter.check().map(|()| simplified(&grid, &single, signed, point, normal))
     };
-    let simplified: Vec<Histograms> = points.par_iter().zip(&single).map(simplified).collect::<Result<_>>()?;
+    let simplified: Vec<Histograms> = try_in_parallel(points.iter().zip(&single), simplified)?;
     let weighted = |(point, own): (&Vector, &Histograms)| {
         counter.add(1);
         counter.check().map(|()| weighted(&grid, &simplified, point, own))
     };
-    let weighted: Vec<Histograms> = points.par_iter().zip(&simplified).map(weighted).collect::<Result<_>>()?;
+    let weighted: Vec<Histograms> = try_in_parallel(points.iter().zip(&simplified), weighted)?;
     Ok(weighted.into_flattened())
 }
 

@@ -4,13 +4,12 @@
 use std::collections::HashSet;
 
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 
 use super::constants::{MIN_SHIFT, REPEAT_PARALLEL};
 use crate::cloud::near_grid::NearGrid;
 use crate::cloud::patches;
 use crate::cloud::planes::PlanePair;
-use snake_geometry::Vector;
+use snake_geometry::{Vector, some_in_parallel};
 
 /// A patch can test a slide if the cosine between its normal and the slide is above this. A floor
 /// agrees with all slides along it. Set by hand.
@@ -66,10 +65,10 @@ impl<'a> Facing<'a> {
         let distance = self.grid.distance();
         let u = self.axis.cross(&Vector::ith(self.axis.iamin(), 1.0)).normalize();
         let (v, side) = (self.axis.cross(&u), (MAX_SLIDE / patches::NEAR) as i32);
-        let starts = (-side..=side).into_par_iter().flat_map_iter(|i| (-side..=side).map(move |j| [i, j]));
+        let starts = (-side..=side).flat_map(|i| (-side..=side).map(move |j| [i, j]));
         let starts = starts.map(|[i, j]| patches::NEAR * distance * (f64::from(i) * u + f64::from(j) * v));
-        let starts = starts.filter(|start| start.norm() < MAX_SLIDE * distance);
-        let mut settled: Vec<(f64, Vector)> = starts.filter_map(|start| self.settled(start)).collect();
+        let starts: Vec<Vector> = starts.filter(|start| start.norm() < MAX_SLIDE * distance).collect();
+        let mut settled = some_in_parallel(starts.iter(), |start| self.settled(*start));
         settled.retain(|(_, slide)| slide.norm() > MIN_SHIFT * distance);
         settled.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let mut best: Vec<Vector> = Vec::new();

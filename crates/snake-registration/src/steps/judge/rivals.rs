@@ -3,7 +3,6 @@
 //! or details repeat, and after a reflection. Searches propose the rivals, one comparison decides.
 
 use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
-use rayon::prelude::*;
 
 use super::alike::{self_motions, shared_support};
 use super::comparison::Comparison;
@@ -18,7 +17,7 @@ use crate::rigid::displacement;
 use crate::steps::pair::Pair;
 use crate::steps::refine::icp::one_way_icp;
 use snake_core::{Counter, Result};
-use snake_geometry::Vector;
+use snake_geometry::{Vector, try_in_parallel};
 
 /// Number of places whose details are compared. Set for time.
 const SHIFT_PLACES: usize = 1200;
@@ -57,15 +56,14 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let slide = |slide| (Motion::Alike, Translation3::from(slide) * winner);
     let by_slide = slides(&patches, &frame, distance).into_iter().map(slide);
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).chain(by_slide).collect();
-    let fit = |(motion, guess)| fitting.fitted(motion, guess);
-    let fitted: Vec<_> = guesses.into_par_iter().map(fit).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
+    let fitted = try_in_parallel(guesses.iter(), |&(motion, guess)| fitting.fitted(motion, guess))?;
+    let fitted: Vec<_> = fitted.into_iter().flatten().collect();
     if fitted.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
     let comparison = Comparison::new(fitting, fine, &places);
-    let moved =
-        fitted.into_par_iter().map(|(motion, rough)| comparison.moved(motion, rough)).collect::<Result<Vec<_>>>()?;
-    let shifted = by_shift.into_par_iter().map(|shift| comparison.shifted(shift)).collect::<Result<Vec<_>>>()?;
+    let moved = try_in_parallel(fitted.iter(), |&(motion, rough)| comparison.moved(motion, rough))?;
+    let shifted = try_in_parallel(by_shift.iter(), |&shift| comparison.shifted(shift))?;
     Ok(moved.into_iter().chain(shifted).flatten().collect())
 }
 

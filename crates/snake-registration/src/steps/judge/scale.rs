@@ -1,12 +1,11 @@
 //! Whether the clouds fit better with the source larger or smaller.
 
 use nalgebra::{IsometryMatrix3, Matrix6, Rotation3, Translation3, Vector6};
-use rayon::prelude::*;
 
 use crate::cloud::planes::{PlanePair, twist};
 use crate::cloud::surface::Surface;
 use crate::rigid::moved;
-use snake_geometry::Vector;
+use snake_geometry::{Vector, some_in_parallel};
 
 /// Number of the source's voxels that tell its scale, at most. Set for time.
 const SCALE_POINTS: usize = 1500;
@@ -120,7 +119,7 @@ impl Similarity {
             let normal = target.common_normal(&rotated, &target.normals[nearest])?;
             Some(PlanePair { point, normal, distance: normal.dot(&(target.points[nearest] - point)) })
         };
-        (0..source.points.len()).into_par_iter().step_by(step).filter_map(pair).collect()
+        some_in_parallel((0..source.points.len()).step_by(step), pair)
     }
 }
 

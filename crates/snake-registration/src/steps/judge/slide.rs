@@ -2,7 +2,7 @@
 //! least.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Translation3};
-use rayon::prelude::*;
+use snake_geometry::in_parallel;
 
 use crate::cloud::surface::{Agreement, Surface, coarse_step};
 
@@ -27,7 +27,8 @@ pub(super) fn slide_margin(
         let moved = Translation3::from(direction * slide) * transform;
         Surface::agreement(source, target, &moved, step).fit()
     };
-    let slides: Vec<f64> = SLIDES.par_iter().flat_map(|&slide| [slide, -slide]).map(fit).collect();
+    let slides = SLIDES.map(|slide| [slide, -slide]);
+    let slides = in_parallel(slides.as_flattened().iter(), |&slide| fit(slide));
     agreement.fit() - slides.into_iter().fold(f64::NEG_INFINITY, f64::max)
 }
 

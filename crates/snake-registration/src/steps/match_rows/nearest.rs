@@ -1,7 +1,7 @@
 //! The two nearest rows of descriptors in both directions, by products of matrices.
 
 use nalgebra::{DMatrix, DMatrixView};
-use rayon::prelude::*;
+use snake_geometry::try_in_parallel;
 
 use snake_core::{Counter, Result};
 
@@ -152,7 +152,7 @@ pub(super) fn nearest_both(
     let tiles: Vec<(usize, &[f32])> = source.chunks(ROWS_PER_TILE * dimension).enumerate().collect();
     // Only the results of one round are held in memory. They do not depend on the number of threads.
     for round in tiles.chunks(TILES_PER_ROUND) {
-        for (rows, columns) in round.par_iter().map(|&rows| tile(rows)).collect::<Result<Vec<_>>>()? {
+        for (rows, columns) in try_in_parallel(round.iter(), |&rows| tile(rows))? {
             source_best.extend(rows);
             target_best.iter_mut().zip(&columns).for_each(|(all, later)| all.merge(later));
         }

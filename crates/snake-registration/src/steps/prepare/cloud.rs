@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::sync::OnceLock;
 
 use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
 
 use super::lengths::Lengths;
 use super::viewpoint::Viewpoint;
@@ -16,7 +15,9 @@ use crate::cloud::surface::Surface;
 use crate::cloud::voxels::downsample;
 use crate::options::{Descriptor, RegisterOptions};
 use snake_core::{Control, Model, Result};
-use snake_geometry::{FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, check_points};
+use snake_geometry::{
+    FinitePoints, Neighbors, Normalization, NormalizationMethod, Outliers, Point, check_points, try_in_parallel,
+};
 
 /// A motion that maps a cloud onto itself, and the share of the cloud's self-matches that agree with it.
 pub(crate) type SelfMotion = (IsometryMatrix3<f64>, f64);
@@ -155,7 +156,7 @@ impl<'a> UsedPoints<'a> {
                 viewpoint,
             })
         };
-        clouds.par_iter().enumerate().map(clean).collect()
+        try_in_parallel(clouds.iter().enumerate(), clean)
     }
 
     /// Twice the largest distance from the mean.

@@ -2,13 +2,11 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
-
 use crate::cloud::normals::check_radius;
 use crate::options::RegisterOptions;
 use crate::steps::prepare::voxel_size as default_voxel_size;
 use snake_core::Result;
-use snake_geometry::{Length, Neighbors, Point, resolution};
+use snake_geometry::{Length, Neighbors, Point, in_parallel, resolution};
 
 /// Voxels are enlarged for clouds whose neighbouring voxels are farther apart than this many voxel
 /// sizes. Half and twice change no outcome; it saves time for a sparse cloud beside a dense one.
@@ -118,7 +116,7 @@ impl GivenLengths {
 /// The distance between neighbouring voxels. In a sparse cloud most voxels hold one point, and the
 /// distance exceeds the voxel size.
 fn spacing(voxels: &[Neighbors], voxel_size: f64) -> f64 {
-    let resolutions: Vec<f64> = voxels.par_iter().map(Neighbors::resolution).collect();
+    let resolutions = in_parallel(voxels.iter(), Neighbors::resolution);
     voxel_size.max(upper_median(&resolutions))
 }
 

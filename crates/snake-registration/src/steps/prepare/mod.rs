@@ -24,7 +24,7 @@ use crate::options::RegisterOptions;
 use cloud::UsedPoints;
 use lengths::GivenLengths;
 use snake_core::{Control, Error, Model, Result};
-use snake_geometry::{Neighbors, Point};
+use snake_geometry::{Neighbors, Point, try_in_parallel};
 
 /// Number of voxels along the diameter of the smaller cloud, unless the voxel size is given. Half
 /// and twice lose a synthetic pair.
@@ -74,11 +74,10 @@ fn prepare_given(given: &Given, control: &Control) -> Result<PreparedClouds> {
     let used = used.map_err(|(index, error)| named(index)(error))?;
     let points: Vec<Cow<[Point]>> = used.iter().map(|used| Cow::Borrowed(&used.points[..])).collect();
     let lengths = GivenLengths::new(options, &points)?;
-    let each = || used.par_iter().enumerate();
-    let diameters = each().map(|(index, used)| used.diameter().map_err(named(index)));
-    let diameters: Vec<f64> = diameters.collect::<Result<_>>()?;
+    let each = || used.iter().enumerate();
+    let diameters = try_in_parallel(each(), |(index, used)| used.diameter().map_err(named(index)))?;
     let (voxels, lengths) = lengths.downsample(&diameters, |voxel_size| {
-        each().map(|(index, used)| downsample(&used.points, voxel_size, control).map_err(named(index))).collect()
+        try_in_parallel(each(), |(index, used)| downsample(&used.points, voxel_size, control).map_err(named(index)))
     })?;
     let prepare = |(index, (used, voxels)): (usize, (&UsedPoints, Neighbors))| {
         // The clouds get different random keypoints. With one seed, equal clouds would have a

@@ -4,7 +4,6 @@ pub(crate) mod icp;
 pub(crate) mod patches;
 
 use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
 
 use crate::cloud::surface::{Agreement, Surface, coarse_step};
 use crate::rigid::displacement;
@@ -14,7 +13,7 @@ use crate::steps::single_matches::Voters;
 use icp::{one_way_icp, symmetric_icp};
 use patches::refine_on_patches;
 use snake_core::{Control, Result};
-use snake_geometry::{RigidTransform, Vector};
+use snake_geometry::{RigidTransform, Vector, try_in_parallel};
 
 /// Number of ICP steps before transforms are compared. Half and twice change no outcome.
 const COARSE_STEPS: usize = 5;
@@ -153,7 +152,7 @@ fn refine_by(
     let counter = control.begin("ICP", guesses.len());
     let step = coarse_step(source.points.len());
     let coarse: Vec<Vector> = source.points.iter().step_by(step).copied().collect();
-    let candidates = guesses.par_iter().map(|guess| {
+    let candidates = try_in_parallel(guesses.iter(), |guess| {
         counter.add(1);
         let guess = guess.isometry();
         let steps = COARSE_STEPS.min(icp_steps);
@@ -161,7 +160,7 @@ fn refine_by(
         Ok((*guess, measure(guess, &refined, step)))
     });
     // Without this, the best few may all be the same transform and hide a rival.
-    let mut candidates = distinct(candidates.collect::<Result<_>>()?, &coarse, criteria.inlier_distance);
+    let mut candidates = distinct(candidates?, &coarse, criteria.inlier_distance);
     candidates.truncate(MIN_REFINED.max(count));
     for (guess, candidate) in &mut candidates {
         let rough = *candidate.t_target_source.isometry();

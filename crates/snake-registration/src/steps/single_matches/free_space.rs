@@ -1,9 +1,7 @@
 //! Free space: the cells of a grid through which a sensor looked.
 
-use rayon::prelude::*;
-
 use crate::cloud::depth_image::{DepthImage, Sight};
-use snake_geometry::Vector;
+use snake_geometry::{Vector, in_parallel};
 
 /// Number of cells of a grid, at most; a cloud of greater extent gets larger cells.
 const MAX_CELLS: f64 = 1e6;
@@ -32,7 +30,7 @@ impl FreeSpace {
             corner + side * Vector::from(at.map(|v| v as f64 + 0.5))
         };
         let is_free = |cell| image.sight(&center(cell)) == Sight::Free;
-        let is_free = (0..sides.iter().product::<usize>()).into_par_iter().map(is_free).collect();
+        let is_free = in_parallel(0..sides.iter().product::<usize>(), is_free);
         Self { corner, side, sides, is_free }
     }
 

@@ -12,7 +12,6 @@ mod surroundings;
 use std::cmp::Reverse;
 
 use nalgebra::IsometryMatrix3;
-use rayon::prelude::*;
 
 use crate::cloud::depth_image::{COARSE, DepthImage};
 use crate::cloud::near_grid::NearGrid;
@@ -21,7 +20,7 @@ use crate::rigid::moved;
 use crate::steps::pair::Pair;
 use free_space::FreeSpace;
 use snake_core::{Control, Counter, Result};
-use snake_geometry::{Vector, vector};
+use snake_geometry::{Vector, in_parallel, some_in_parallel, try_in_parallel, vector};
 use surroundings::{AZIMUTHS, Oriented, Scene, Surroundings};
 
 /// Radius of the surroundings. Unit: inlier distances. Set by hand.
@@ -64,7 +63,7 @@ impl Voters {
         let [source, target] = [0, 1].map(|side| places(pair, side, matches, &counter));
         let (source, target) = (source?, target?);
         let vote = |&[from, to]: &[usize; 2]| best_voter(source[from].as_ref()?, target[to].as_ref()?);
-        let mut all: Vec<Voter> = matches.par_iter().filter_map(vote).collect();
+        let mut all: Vec<Voter> = some_in_parallel(matches.iter(), vote);
         all.retain(|voter| pair.criteria().is_level(&voter.transform.rotation));
         // The sort is stable: the order of the matches decides ties.
         all.sort_by_key(|voter| Reverse(voter.score));
@@ -84,7 +83,7 @@ impl Voters {
 
     /// At most `count` distinct transforms, the best supported first.
     pub(crate) fn transforms(&self, count: usize) -> Vec<IsometryMatrix3<f64>> {
-        let support: Vec<usize> = self.all.par_iter().map(|voter| self.support(&voter.transform)).collect();
+        let support: Vec<usize> = in_parallel(self.all.iter(), |voter| self.support(&voter.transform));
         let mut order: Vec<usize> = (0..self.all.len()).collect();
         // The better score decides ties.
         order.sort_by_key(|&voter| Reverse(support[voter]));
@@ -117,7 +116,7 @@ fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -
     };
     let mut is_matched = vec![false; cloud.keypoints.len()];
     matches.iter().for_each(|matched| is_matched[matched[side]] = true);
-    let place = |(&(point, voxel), is_matched): (&(_, usize), bool)| {
+    let place = |(&(point, voxel), &is_matched): (&(_, usize), &bool)| {
         let place = Oriented { point: vector(point), normal: cloud.voxels.normals[voxel] };
         counter.check()?;
         counter.add(1);
@@ -127,7 +126,7 @@ fn places(pair: &Pair, side: usize, matches: &[[usize; 2]], counter: &Counter) -
         let around = Surroundings::new(&place, &scene, distance);
         Ok(Some((place, if side == 0 { around } else { around.dilated() })))
     };
-    cloud.keypoints.par_iter().zip(is_matched).map(place).collect()
+    try_in_parallel(cloud.keypoints.iter().zip(&is_matched), place)
 }
 
 /// The transform of a match with the best rotation about the normal.
