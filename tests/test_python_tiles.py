@@ -138,7 +138,8 @@ def test_a_cluster_registers_pairs_as_one_machine(cluster, tmp_path):
     assert "FileNotFoundError" in bad["error"] and bad["t_target_source"] is None and bad["is_reliable"] is None
 
 
-def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster, city, whole, tmp_path, monkeypatch):
+@pytest.mark.parametrize("is_killed", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["whole", "killed"])
+def test_a_cluster_has_the_bits_of_one_machine(is_killed, cluster, city, whole, tmp_path, monkeypatch):
     from snake_rs import ray as module
 
     folder, mark = tmp_path / "tiles", tmp_path / "killed"
@@ -156,14 +157,16 @@ def test_a_cluster_has_the_bits_of_one_machine_though_a_worker_is_killed(cluster
                 os.kill(os.getpid(), signal.SIGKILL)
             return super().__call__(batch)
 
-    monkeypatch.setattr(module, "DetectTiles", KilledOnce)
+    if is_killed:
+        monkeypatch.setattr(module, "DetectTiles", KilledOnce)
     tiles = snake_rs.tiles(city, tile=8, folder=folder, model="scenes", **OPTIONS)
     table = module.keypoints_of_tiles(tiles, concurrency=2)
     assert_equal({name: table[name].to_numpy() for name in table.column_names}, whole)
     # No tile is lost, and none that was done when the worker died is detected again.
     first = times()
     assert len(first) == len(tiles) > 6
-    assert all(first[name] == time for name, time in json.loads(mark.read_text()).items())
+    if is_killed:
+        assert all(first[name] == time for name, time in json.loads(mark.read_text()).items())
     monkeypatch.undo()
     assert module.keypoints_of_tiles(pickle.loads(pickle.dumps(tiles))).equals(table)
     assert times() == first

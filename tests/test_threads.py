@@ -170,9 +170,9 @@ CALLS = {
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to one process")
 @pytest.mark.parametrize("call", CALLS.values(), ids=CALLS.keys())
 def test_ctrl_c_ends_a_call_within_a_fifth_of_a_second(call):
-    # The fastest of three: on a busy machine a process may have to wait for a processor.
-    code = textwrap.dedent(INTERRUPTED) + f"print(min(seconds_until_interrupted(lambda: {call}) for _ in range(3)))"
-    assert float(run(code)) < 0.2
+    # One of three: on a busy machine a process may have to wait for a processor.
+    code = f"print(any(seconds_until_interrupted(lambda: {call}) < 0.2 for _ in range(3)))"
+    assert run(textwrap.dedent(INTERRUPTED) + code).strip() == "True"
 
 
 def test_another_signal_handler_runs_during_a_call_and_its_exception_ends_it():

@@ -230,7 +230,7 @@ class ConfidenceStage(Stage):
 
     def run(self, recipe, folder):
         """Kept as confidence.json."""
-        pairs = [recipe.run_dir / name for name in self.scenes]
+        pairs = [recipe.run_dir / name for name in (self.scenes[-1:] if recipe.smoke else self.scenes)]
         report = confidence.fit_map(
             recipe.output_of(self.of), "" if pairs else recipe.shapes(folder), pairs, (), 2 if recipe.smoke else self.number,
             rotations=self.rotations,

@@ -217,6 +217,7 @@ impl Drop for Running {
 }
 
 /// Long work and no terminal: a line every ten seconds shows the progress.
+#[cfg(unix)]
 #[test]
 fn long_work_has_lines_without_a_terminal() {
     use std::io::{BufRead, BufReader};
@@ -227,6 +228,12 @@ fn long_work_has_lines_without_a_terminal() {
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     let start = std::time::Instant::now();
     let mut child = Running(command.spawn().unwrap());
+    // The clock goes on while the program is stopped.
+    for (signal, seconds) in [("-STOP", 9), ("-CONT", 0)] {
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        assert!(Command::new("kill").args([signal, &child.0.id().to_string()]).status().unwrap().success());
+        std::thread::sleep(std::time::Duration::from_secs(seconds));
+    }
     let mut lines = BufReader::new(child.0.stderr.take().unwrap()).lines().map(Result::unwrap);
     let counted = lines.find(|line| line.contains(" of ")).unwrap();
     assert!(counted.contains(": refinement, ") && counted.ends_with(" left"), "{counted}");
