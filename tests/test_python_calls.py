@@ -35,6 +35,7 @@ CALLS = {
     "detect of several": lambda **watch: snake_rs.detect([thing(), thing()], **watch),
     "frames": lambda **watch: snake_rs.FrameDetector("scenes").detect(room(), **watch),
     "register": lambda **watch: snake_rs.register(thing(), thing(), **watch),
+    "map": lambda **watch: snake_rs.PreparedMap(thing(), voxel_size=0.01).register(thing(), **watch),
     "align": lambda **watch: snake_rs.align([thing(), thing(1500)], **watch),
 }
 

@@ -432,7 +432,14 @@ class PreparedMap:
         viewpoint: Sequence[float] | None = None,
         **options: Unpack[_RegistrationOptions],
     ) -> Self: ...
-    def register(self, source: _Points, **options: Unpack[_PairOptions]) -> Registration: ...
+    def register(
+        self,
+        source: _Points,
+        *,
+        deadline: float | None = None,
+        progress: _Progress | None = None,
+        **options: Unpack[_PairOptions],
+    ) -> Registration: ...
     voxel_size: Final[float]
 
 # Results, written as the options.

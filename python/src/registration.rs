@@ -102,16 +102,20 @@ impl PreparedMap {
     }
 
     /// Finds the transform from a scan (N, 3) to the map, as `register` does with the map as the target. The options are those
-    /// of `register` for a pair: `source_viewpoint`, `initial` and `hypotheses`.
-    #[pyo3(signature = (source, **options))]
+    /// of `register` for a pair: `source_viewpoint`, `initial` and `hypotheses`. `deadline` and `progress` are those of `detect`.
+    #[pyo3(signature = (source, *, deadline=None, progress=None, **options))]
     fn register<'py>(
         &self,
         source: &Bound<'py, PyAny>,
+        deadline: Option<f64>,
+        progress: Option<Py<PyAny>>,
         options: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let watch = Watch::new(deadline, progress)?;
         let pair: core::PairOptions = options::of("PreparedMap.register", options)?;
         let (scan, _) = arrays::cloud("source", source)?;
-        let registration = threads::run_with_signals(source.py(), |control| self.map.register(&scan, &pair, control))?;
+        let registration =
+            threads::run_watched(source.py(), watch, |control| self.map.register(&scan, &pair, control))?;
         warn(source.py(), registration.verdict.warning().iter().chain(&registration.verdict.notes))?;
         records::to_python(source.py(), &registration)
     }

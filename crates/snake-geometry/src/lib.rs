@@ -39,7 +39,7 @@ pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_s
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};
-pub use parallel::{chunks_in_parallel, in_parallel, some_in_parallel, try_chunks_in_parallel, try_in_parallel};
+pub use parallel::{Items, chunks_in_parallel, in_parallel, some_in_parallel, try_chunks_in_parallel, try_in_parallel};
 pub use record::{Record, RecordField, RecordInfo, RecordKind, RecordValue};
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{

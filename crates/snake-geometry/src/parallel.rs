@@ -10,23 +10,18 @@ use rayon::prelude::*;
 /// Number of parts of a loop for each thread.
 const PARTS: usize = 16;
 
+/// A range, a slice's iterator, or some of them zipped. It is cloned for each part, which begins at its first item.
+pub trait Items: ExactSizeIterator + Clone + Sync {}
+
+impl<I: ExactSizeIterator + Clone + Sync> Items for I {}
+
 /// `of` each item, in parallel, in the order of the items.
-///
-/// `items` is cloned for each part, which begins at its first item: a range, a slice's iterator, or some of them zipped.
-pub fn in_parallel<I, R>(items: I, of: impl Fn(I::Item) -> R + Sync) -> Vec<R>
-where
-    I: ExactSizeIterator + Clone + Sync,
-    R: Send,
-{
+pub fn in_parallel<I: Items, R: Send>(items: I, of: impl Fn(I::Item) -> R + Sync) -> Vec<R> {
     some_in_parallel(items, |item| Some(of(item)))
 }
 
 /// [`in_parallel`], without the items that have no result.
-pub fn some_in_parallel<I, R>(items: I, of: impl Fn(I::Item) -> Option<R> + Sync) -> Vec<R>
-where
-    I: ExactSizeIterator + Clone + Sync,
-    R: Send,
-{
+pub fn some_in_parallel<I: Items, R: Send>(items: I, of: impl Fn(I::Item) -> Option<R> + Sync) -> Vec<R> {
     let all = of_parts::<R, Infallible>(items.len(), &|part, results| {
         for item in items.clone().skip(part.start).take(part.len()) {
             results.extend(of(item));
@@ -40,12 +35,10 @@ where
 ///
 /// # Errors
 /// The first error in the order of the items.
-pub fn try_in_parallel<I, R, E>(items: I, of: impl Fn(I::Item) -> Result<R, E> + Sync) -> Result<Vec<R>, E>
-where
-    I: ExactSizeIterator + Clone + Sync,
-    R: Send,
-    E: Send,
-{
+pub fn try_in_parallel<I: Items, R: Send, E: Send>(
+    items: I,
+    of: impl Fn(I::Item) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
     of_parts(items.len(), &|part, results| {
         for item in items.clone().skip(part.start).take(part.len()) {
             results.push(of(item)?);

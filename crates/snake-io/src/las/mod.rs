@@ -34,8 +34,13 @@ pub(crate) fn read(bytes: &[u8], keep_withheld: bool) -> Result<Shape, String> {
         points.push(position);
     })?;
     let mut shape = Shape::from(points);
+    let all = shape.points.len();
+    if num_withheld == all && all > 0 {
+        return Err(format!(
+            "all {all} points are marked as withheld or as noise; reading with `keep_withheld` keeps them"
+        ));
+    }
     if num_withheld > 0 {
-        let all = shape.points.len();
         shape.notes.push(format!(
             "{num_withheld} of {all} points are left out, because the file marks them as withheld or as noise; \
              reading with `keep_withheld` keeps them"
@@ -475,6 +480,9 @@ mod tests {
                 assert!(points.iter().flatten().all(|v| v.is_finite()) && notes.is_empty());
             }
         }
+        let (bytes, noise) = (sample("format_2.las"), [0, 1, 2, 3].map(|point| 227 + 26 * point + 15));
+        let all = noise.into_iter().fold(bytes, |bytes, at| with(bytes, at, &[7]));
+        assert!(read(&all, false).err().unwrap().starts_with("all 4 points are marked as withheld"));
     }
 
     #[test]
