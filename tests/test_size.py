@@ -14,7 +14,7 @@ MAX_LINES = {
     "crates/snake-io": 10566,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 10965,
-    "crates/snake-tiles": 1847,
+    "crates/snake-tiles": 1846,
     "crates/snake-view": 575,
     "docs": 441,
     "examples": 500,

@@ -10,8 +10,8 @@ use snake_io::Copc;
 
 use crate::Result;
 use crate::folder::{PLAN, RunFolder};
-use crate::plan::{Plan, Source, Tile, place, version};
-use crate::run::{Extent, TiledRun, choose_voxel_size, columns_of, widen};
+use crate::plan::{Extent, Plan, Source, Tile, place, version};
+use crate::run::{TiledRun, choose_voxel_size, columns_of, widen};
 
 /// An unbounded rectangle.
 const EVERYWHERE: [[f64; 2]; 2] = [[f64::NEG_INFINITY; 2], [f64::INFINITY; 2]];

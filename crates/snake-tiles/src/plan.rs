@@ -6,12 +6,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use snake_core::TileSettings;
-use snake_geometry::{Point, subtract_origin};
+use snake_geometry::{Bounds, Point, subtract_origin};
 use snake_io::{Copc, Crs, LocalFile, Ranges};
 
 use crate::folder::{PLAN, RunFolder};
-use crate::run::Extent;
-use crate::{Error, Result, candidates, points};
+use crate::{Error, Result, candidates};
 
 /// Everything that determines the candidates of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -175,7 +174,7 @@ impl Plan {
 
     /// The file names of all tiles.
     pub(crate) fn names(&self) -> impl Iterator<Item = String> {
-        let names = |tile: &Tile| [candidates::name(tile.place), points::name(tile.place)];
+        let names = |tile: &Tile| [candidates::name(tile.place), points_file(tile.place)];
         self.tiles.iter().flat_map(names)
     }
 
@@ -210,4 +209,49 @@ impl Plan {
 /// The places of the tiles that have these columns, along each axis.
 pub(crate) fn place(side: i32, columns: [i32; 2]) -> [i32; 2] {
     columns.map(|column| column.div_euclid(side))
+}
+
+/// The properties of a cloud that are known before its tiles.
+#[derive(Default)]
+pub(crate) struct Extent {
+    pub(crate) bounds: Bounds,
+    pub(crate) crs: Option<Crs>,
+    /// The first file that has a coordinate reference system.
+    first: Option<PathBuf>,
+    pub(crate) failures: Vec<Failure>,
+}
+
+impl Extent {
+    /// Adds the coordinate reference system of a file.
+    pub(crate) fn add_crs(&mut self, file: &Path, crs: Option<Crs>) -> Result<()> {
+        let Some(crs) = crs else { return Ok(()) };
+        if let Err(reason) = crs.check_lengths() {
+            let reason = format!("{}: {reason}", file.display());
+            return Err(Error::Refused { what: "coordinate reference system", reason });
+        }
+        match (&self.first, &self.crs) {
+            (Some(first), Some(other)) if *other != crs => {
+                let reason = format!("{} and {} have different ones", first.display(), file.display());
+                Err(Error::Refused { what: "coordinate reference system", reason })
+            }
+            _ => {
+                (self.first, self.crs) = (Some(file.to_owned()), Some(crs));
+                Ok(())
+            }
+        }
+    }
+
+    /// Refuses a cloud without extent.
+    pub(crate) fn checked(self) -> Result<Self> {
+        if (0..3).all(|axis| self.bounds.low[axis] >= self.bounds.high[axis]) {
+            let reason = "a cloud needs at least two different points".into();
+            return Err(Error::Refused { what: "inputs", reason });
+        }
+        Ok(self)
+    }
+}
+
+/// The name of the file with the points of the tile at a place.
+pub(crate) fn points_file([x, y]: [i32; 2]) -> String {
+    format!("points/{x}_{y}.bin")
 }

@@ -11,7 +11,7 @@ use snake_geometry::Point;
 use snake_io::sync_folder;
 
 use crate::folder::RunFolder;
-use crate::plan::Tile;
+use crate::plan::{Tile, points_file};
 use crate::{Error, Result};
 
 /// Bytes of a point.
@@ -22,11 +22,6 @@ const BUFFERED: usize = 128 << 20;
 
 /// Number of bytes that are read at once: whole points.
 const PART: u64 = 50_000 * RECORD as u64;
-
-/// The file name for the tile at a place.
-pub(crate) fn name([x, y]: [i32; 2]) -> String {
-    format!("points/{x}_{y}.bin")
-}
 
 /// Sorts points into the files of their tiles.
 pub(crate) struct PointWriter<'a> {
@@ -54,7 +49,7 @@ impl<'a> PointWriter<'a> {
     /// Writes the buffered points, over those of a killed run.
     fn write(&mut self) -> Result<()> {
         for (&place, (number, buffer)) in &mut self.tiles {
-            let path = self.folder.to_write(&name(place))?;
+            let path = self.folder.to_write(&points_file(place))?;
             let start = *number * RECORD as u64 - buffer.len() as u64;
             let write = || {
                 let mut file = File::options().write(true).create(true).truncate(false).open(&path)?;
@@ -72,7 +67,7 @@ impl<'a> PointWriter<'a> {
     pub(crate) fn finish(&mut self) -> Result<()> {
         self.write()?;
         for &place in self.tiles.keys() {
-            let path = self.folder.to_write(&name(place))?;
+            let path = self.folder.to_write(&points_file(place))?;
             File::open(&path).and_then(|file| file.sync_all()).map_err(Error::file(&path))?;
         }
         sync_folder(&self.folder.path.join("points"));
@@ -90,7 +85,7 @@ impl<'a> PointWriter<'a> {
 /// # Errors
 /// [`Error::Core`]; [`Error::Damaged`], after the points, for a file whose number of points is not that of the tile.
 pub(crate) fn for_each_point(folder: &RunFolder, tile: &Tile, mut found: impl FnMut(Point, u64)) -> Result<()> {
-    let path = folder.path.join(name(tile.place));
+    let path = folder.path.join(points_file(tile.place));
     let mut file = File::open(&path).map_err(Error::file(&path))?;
     let (mut length, mut part) = (0, Vec::new());
     loop {

@@ -10,7 +10,7 @@ use snake_io::{Copc, Crs, LocalFile, ReadOptions};
 
 use crate::candidates;
 use crate::folder::{PLAN, RunFolder};
-use crate::plan::{Failure, Plan, Source, Tile, Version, place, version};
+use crate::plan::{Extent, Failure, Plan, Source, Tile, Version, place, version};
 use crate::points::{PointWriter, for_each_point};
 use crate::{Error, Result};
 
@@ -294,46 +294,6 @@ pub(crate) fn choose_voxel_size(
     }
     let points: Vec<Point> = positions.into_iter().map(|position| subtract_origin(position, bounds.origin())).collect();
     Ok(detector.choose_voxel_size(&points)?)
-}
-
-/// The properties of a cloud that are known before its tiles.
-#[derive(Default)]
-pub(crate) struct Extent {
-    pub(crate) bounds: Bounds,
-    pub(crate) crs: Option<Crs>,
-    /// The first file that has a coordinate reference system.
-    first: Option<PathBuf>,
-    pub(crate) failures: Vec<Failure>,
-}
-
-impl Extent {
-    /// Adds the coordinate reference system of a file.
-    pub(crate) fn add_crs(&mut self, file: &Path, crs: Option<Crs>) -> Result<()> {
-        let Some(crs) = crs else { return Ok(()) };
-        if let Err(reason) = crs.check_lengths() {
-            let reason = format!("{}: {reason}", file.display());
-            return Err(Error::Refused { what: "coordinate reference system", reason });
-        }
-        match (&self.first, &self.crs) {
-            (Some(first), Some(other)) if *other != crs => {
-                let reason = format!("{} and {} have different ones", first.display(), file.display());
-                Err(Error::Refused { what: "coordinate reference system", reason })
-            }
-            _ => {
-                (self.first, self.crs) = (Some(file.to_owned()), Some(crs));
-                Ok(())
-            }
-        }
-    }
-
-    /// Refuses a cloud without extent.
-    pub(crate) fn checked(self) -> Result<Self> {
-        if (0..3).all(|axis| self.bounds.low[axis] >= self.bounds.high[axis]) {
-            let reason = "a cloud needs at least two different points".into();
-            return Err(Error::Refused { what: "inputs", reason });
-        }
-        Ok(self)
-    }
 }
 
 /// The first pass over the files.
