@@ -11,7 +11,7 @@ MAX_LINES = {
     "crates/snake-core": 11791,
     "crates/snake-detectors": 1240,
     "crates/snake-geometry": 5517,
-    "crates/snake-io": 10566,
+    "crates/snake-io": 10567,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 10965,
     "crates/snake-tiles": 1846,

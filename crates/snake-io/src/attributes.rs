@@ -58,7 +58,10 @@ pub fn read_attributes(path: &Path, format: Option<PointFormat>, num_points: usi
         PointFormat::Kitti => named(sweep::table(&bytes, 4)),
         PointFormat::Nuscenes => named(sweep::table(&bytes, 5)),
         PointFormat::Sweep(num_values) => named(sweep::table(&bytes, num_values.into())),
-        PointFormat::E57 => e57::attributes(&bytes).unwrap_or_default(),
+        PointFormat::E57 => {
+            let (colors, intensity) = e57::colors_and_intensities(&bytes).unwrap_or_default();
+            Attributes { colors, intensity, ..Attributes::default() }
+        }
         PointFormat::Las => scanned(las::intensities_and_colors(&bytes).unwrap_or_default()),
         _ => Attributes::default(),
     };

@@ -8,7 +8,6 @@ use e57::{CartesianCoordinate, E57Reader, Point, PointCloud, RecordName, Transfo
 use snake_geometry::excerpt;
 
 use crate::MAX_EXPANSION;
-use crate::attributes::Attributes;
 use crate::formats::quaternion::rotation;
 use crate::table::shape::{Position, Shape};
 
@@ -20,9 +19,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Shape, String> {
     Ok(points.into())
 }
 
+type ColorsAndIntensities = (Option<Vec<[u8; 3]>>, Option<Vec<f32>>);
+
 /// The colours, as bytes, and the intensities of the points that [`read`] reads, if a scan has any. A colour that a scan lacks
 /// or that a scanner marks as invalid is black, and such an intensity is 0.
-pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
+pub(crate) fn colors_and_intensities(bytes: &[u8]) -> Result<ColorsAndIntensities, String> {
     let (mut colors, mut intensity, mut are_there) = (Vec::new(), Vec::new(), [false; 2]);
     for_each_point(bytes, &mut |_, scan, point| {
         let shares = point.color.as_ref().map_or([0.0; 3], |color| [color.red, color.green, color.blue]);
@@ -31,8 +32,7 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Attributes, String> {
         are_there = [are_there[0] | scan.has_color(), are_there[1] | scan.has_intensity()];
     })?;
     let [has_colors, has_intensity] = are_there;
-    let (colors, intensity) = (has_colors.then_some(colors), has_intensity.then_some(intensity));
-    Ok(Attributes { colors, intensity, ..Attributes::default() })
+    Ok((has_colors.then_some(colors), has_intensity.then_some(intensity)))
 }
 
 /// Calls `found` with each position, its scan and the rest of the point's data.
@@ -179,13 +179,11 @@ mod tests {
         plain.finalize().unwrap();
         writer.finalize().unwrap();
         drop(writer);
-        let Attributes { colors, intensity, .. } = super::attributes(&file.into_inner()).unwrap();
         assert_eq!(
-            (colors, intensity),
+            colors_and_intensities(&file.into_inner()).unwrap(),
             (Some(vec![[10, 128, 255], [10, 128, 255], [0; 3]]), Some(vec![300.0, 600.0, 0.0]))
         );
-        let plain = super::attributes(&scans(&[None], &XYZ)).unwrap();
-        assert_eq!((plain.colors, plain.intensity), (None, None));
+        assert_eq!(colors_and_intensities(&scans(&[None], &XYZ)).unwrap(), (None, None));
     }
 
     #[test]
