@@ -26,6 +26,9 @@ def test_frames_have_the_keypoints_of_detect():
     with pytest.raises(ValueError, match="none of the 3 points is finite"):
         frames.detect(np.full((3, 3), np.nan))
     assert len(frames.detect(thing())) > 5 and "FrameDetector(Model(compact" in repr(frames)
+    for call in (frames.detect, snake_rs.Model.builtin("compact").encode):
+        with pytest.raises(ValueError, match="points: expected one cloud, found a list of 2"):
+            call([thing(), thing()])
     with pytest.raises(TypeError, match="unexpected keyword argument 'frames'"):
         snake_rs.FrameDetector("compact", frames=3)
 

@@ -163,6 +163,10 @@ pub fn cloud_with_notes(what: &str, value: &Bound<PyAny>) -> PyResult<(Cloud, Pr
         let contents = files::contents(value.py(), value.extract()?, ReadOptions::default())?;
         return Ok((contents.cloud, Precision::Double, contents.notes));
     }
+    if let Some(clouds) = list_of_clouds(value)? {
+        let reason = format!("{what}: expected one cloud, found a list of {}", clouds.len());
+        return Err(PyValueError::new_err(reason));
+    }
     let (cloud, precision) = given_rows(what, value)?.cloud()?;
     Ok((cloud, precision, Vec::new()))
 }

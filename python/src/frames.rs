@@ -45,8 +45,8 @@ impl FrameDetector {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Keypoints> {
         let watch = Watch::new(deadline, progress)?;
-        let (cloud, precision) = arrays::cloud("points", points)?;
-        let (cloud, detection, notes) = threads::run_watched(py, watch, |control| {
+        let (cloud, precision, mut notes) = arrays::cloud_with_notes("points", points)?;
+        let (cloud, detection, findings) = threads::run_watched(py, watch, |control| {
             let mut detector = self.detector.lock().unwrap_or_else(PoisonError::into_inner);
             let cloud = cloud.for_normalization(detector.options().encode.normalization);
             let mut detection = core::Detection::default();
@@ -54,7 +54,8 @@ impl FrameDetector {
             let note = detection.note(&detector.options().detect);
             Ok((cloud, detection, detector.findings().iter().cloned().chain(note).collect::<Vec<_>>()))
         })?;
-        warn(py, &notes)?;
+        warn(py, &findings)?;
+        notes.extend(findings);
         let named = self.model.get().named();
         let source = (named.name, named.model.digest(), notes);
         Keypoints::from_detection(py, detection, cloud.origin, precision, Some(cloud), source)

@@ -152,9 +152,11 @@ fn match_keypoints<'py>(
     a: &Bound<'py, Keypoints>,
     b: &Bound<'py, Keypoints>,
 ) -> PyResult<Bound<'py, PyArray2<i64>>> {
-    if let [Some((first, weights)), Some((second, others))] = [a, b].map(|keypoints| keypoints.get().model())
-        && weights != others
+    // Models of one name can have other weights, and those of one file other options.
+    if let [Some(one), Some(other)] = [a, b].map(|keypoints| keypoints.get().model())
+        && one != other
     {
+        let ((first, _), (second, _)) = (one, other);
         let reason = format!(
             "match: the keypoints are of two models, {first} and {second}, which find other places; detect both with one `model`"
         );

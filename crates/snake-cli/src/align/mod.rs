@@ -136,7 +136,7 @@ fn report(alignment: &Alignment, inputs: &[PathBuf], written: &[&Path]) -> Repor
     report.line(format!("{seconds:.3} s"));
     let skipped: usize = num_skipped.iter().sum();
     if skipped > 0 {
-        report.line(format!("skipped {skipped} points, which are not finite or outliers"));
+        report.line(format!("skipped {skipped} points, which are not finite, withheld or outliers"));
     }
     for path in written {
         report.line(format!("written to {}", path.display()));

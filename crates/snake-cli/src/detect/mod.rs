@@ -259,7 +259,7 @@ fn table(
     let mut report = Report::default();
     let mut first = format!("{name}: {} keypoints from {num_points} points", keypoints.len());
     if detection.num_skipped > 0 {
-        write!(first, " ({} not finite or outliers, skipped)", detection.num_skipped)?;
+        write!(first, " ({} skipped: not finite, withheld or outliers)", detection.num_skipped)?;
     }
     if detection.num_encoded + detection.num_skipped < num_points {
         write!(first, " ({} encoded)", detection.num_encoded)?;

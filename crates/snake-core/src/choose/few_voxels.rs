@@ -41,7 +41,9 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
     let middle = [0, 1, 2].map(|axis| quantile(points.iter().map(|point| f64::from(point[axis])).collect(), 0.5));
     let cell = |point: &Point| [0, 1, 2].map(|axis| ((f64::from(point[axis]) - middle[axis]) / voxel).round() as i64);
     let mut cells = BTreeSet::new();
-    if points.iter().any(|point| cells.insert(cell(point)) && cells.len() > MAX_VOXELS) {
+    let are_many = points.iter().any(|point| cells.insert(cell(point)) && cells.len() > MAX_VOXELS);
+    // Points that have voxels of their own show no more in smaller ones.
+    if are_many || 2 * cells.len() > points.len() {
         return None;
     }
     let centers: Vec<Point> = drawn(&points, CENTERS).collect();

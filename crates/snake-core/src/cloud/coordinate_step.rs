@@ -10,7 +10,8 @@ const MEASURED: usize = 4096;
 const MIN_LEVELS: usize = 16;
 
 /// The largest step of the coordinates along any axis, if there is one. Counted from the lowest coordinate, all are multiples
-/// of the step within a thousandth of it or within float32 rounding, and at least [`MIN_LEVELS`] of them differ.
+/// of the step within a thousandth of it or within float32 rounding, and at least [`MIN_LEVELS`] of them differ, but
+/// not all, as along a line of even points.
 pub(super) fn coordinate_step(points: &[Point]) -> Option<CoordinateStep> {
     let measured: Vec<Point> = drawn(points, MEASURED).collect();
     let step_of = |axis: usize| step(measured.iter().map(|point| point[axis]).collect()).map(|length| (axis, length));
@@ -34,7 +35,7 @@ fn step(mut values: Vec<f32>) -> Option<f64> {
     let rounding = 2.0 * f64::from(f32::EPSILON) * lowest.abs().max(highest.abs());
     let gaps = values.windows(2).map(|pair| f64::from(pair[1]) - f64::from(pair[0])).filter(|gap| *gap > rounding);
     let (num_gaps, smallest) = gaps.fold((0, f64::INFINITY), |(number, least), gap| (number + 1, gap.min(least)));
-    if num_gaps + 1 < MIN_LEVELS {
+    if num_gaps + 1 < MIN_LEVELS || num_gaps + 1 == values.len() {
         return None;
     }
     // The rounding error of the smallest gap would add up over the levels, so the extent gives the length.
@@ -54,6 +55,13 @@ mod tests {
     fn surface() -> Vec<Point> {
         let at = |i: usize, step: f32| (i as f32 * step).fract() * 12.0;
         (0..5000).map(|i| [at(i, 0.618_034), at(i, 0.754_877_7), (i as f32 * 0.01).sin()]).collect()
+    }
+
+    #[test]
+    fn even_points_on_a_line_have_no_step() {
+        let line: Vec<Point> = (0..33).map(|i| [i as f32 / 32.0; 3]).collect();
+        assert!(coordinate_step(&line).is_none());
+        assert!(coordinate_step(&[&line[..], &line[..]].concat()).is_some());
     }
 
     #[test]
