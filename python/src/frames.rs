@@ -34,8 +34,8 @@ impl FrameDetector {
         Ok(Self { model: model.unbind(), detector: Mutex::new(detector) })
     }
 
-    /// The keypoints of the next cloud, those of `snake_rs.detect` to the bit, with the notes of `snake_rs.Field.detect`. Arguments are those of
-    /// `snake_rs.detect`.
+    /// The keypoints of the next cloud, those of `snake_rs.detect` to the bit, with the notes on its file and those of
+    /// `snake_rs.Field.detect`. `points` is one cloud of `snake_rs.detect`, as are `deadline` and `progress`.
     #[pyo3(signature = (points, *, deadline=None, progress=None))]
     fn detect(
         &self,

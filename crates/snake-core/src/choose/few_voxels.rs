@@ -95,7 +95,8 @@ mod tests {
     }
 
     #[test]
-    fn pipelines_and_cables_are_scenes_and_say_why() {
+    fn pipelines_and_cables_are_scenes_and_say_why_and_few_points_are_none() {
+        assert!(voxels(&UsedCloud::new(&tube(30, 1.0, 0.3, 0.0)).unwrap()).is_none());
         for (number, length, radius, angle) in [
             (60_000, 200.0, 0.15, 0.0),
             (60_000, 100.0, 0.015, 0.0),

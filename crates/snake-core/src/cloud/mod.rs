@@ -62,7 +62,7 @@ impl<'a> UsedCloud<'a> {
         self.num_given
     }
 
-    /// The outliers that were left out, far beyond all other points; `None` if there are none.
+    /// The outliers that were left out, far beyond all other points; `None` for a cloud without outliers.
     pub fn outliers(&self) -> Option<Outliers> {
         self.finite.outliers()
     }

@@ -156,7 +156,7 @@ impl Field {
         self.num_skipped
     }
 
-    /// The outliers that were left out, far beyond all other points; `None` if there are none.
+    /// The outliers that were left out, far beyond all other points; `None` for a cloud without outliers.
     pub fn outliers(&self) -> Option<Outliers> {
         self.points.outliers()
     }

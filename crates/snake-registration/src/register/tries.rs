@@ -59,7 +59,7 @@ const TRIES: [Try; 4] = [
         // This try has compared the transforms of the first try, too.
         keep: Keep::Always,
     },
-    // Without signs of normals; pointless if there are none.
+    // This try ignores the signs of normals, where the pair has them.
     Try {
         applies: |search, tried| tried.is_signed() && search.pair.has_doubtful_signs(),
         run: |search, tried| search.by_matches(&search.pair.without_signs(), tried),

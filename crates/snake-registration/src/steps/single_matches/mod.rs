@@ -55,7 +55,7 @@ pub(crate) struct Voters {
 }
 
 impl Voters {
-    /// The transforms of matches, given as keypoint indices `[source, target]`. There are none unless
+    /// The transforms of matches, given as keypoint indices `[source, target]`. The list is empty unless
     /// both sensors are known: without free space, the surroundings are not distinctive enough.
     pub(crate) fn new(pair: &Pair, matches: &[[usize; 2]], control: &Control) -> Result<Self> {
         let num_keypoints = pair.clouds().map(|cloud| cloud.keypoints.len());
