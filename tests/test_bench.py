@@ -39,7 +39,7 @@ def test_registration_keeps_its_results(tmp_path, monkeypatch, capsys):
 
 
 def test_confusion_counts_each_pair_once(compiled, monkeypatch, capsys):
-    words = [str(compiled / "snake-cli"), "--kinds", "camera_room", "cube", "--seeds", "0", "1"]
+    words = [str(compiled / "snake-cli"), "--kinds", "camera_room", "stairs", "--seeds", "0", "1"]
     monkeypatch.setattr(sys, "argv", ["confusion.py", *words])
     confusion.main()
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]

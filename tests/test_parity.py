@@ -301,7 +301,9 @@ def refinement(pair, method, steps):
     options = DetectOptions(
         refine_method=method, refine_steps=steps, refine_step_size=2e-3, selection="reference-final-position"
     )
-    queries = torch.from_numpy(random_queries(11, 500))
+    queries = torch.from_numpy(
+        random_queries(11, 512)
+    )  # a power of two: their mean has the gradients of their sum, to a bit
     expected, _ = detection.refine(Recorded(), volume, queries, options)
     found = snake_rs.steps.refine(queries, torch.stack(gradients), method, 2e-3)
     assert len(gradients) == steps

@@ -1,6 +1,6 @@
 """How often a verdict is wrong, by kind of pair: the confusion of right and reliable, for one program or several side by side.
 
-    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs ball] [--scenes FOLDER]
+    python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs ramp] [--scenes FOLDER]
 
 Kinds are those of made_pairs.py. `--scenes` adds the pairs of a folder of clouds (.npy) with `pairs.json`, by their overlap.
 """

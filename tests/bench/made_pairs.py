@@ -4,13 +4,12 @@ A scan is in its sensor's frame. All lengths are metres. The kinds of HELD_OUT c
 """
 
 import itertools
-from functools import cache, partial
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from snake_training.data.solids import CUBE, CYLINDER, ROOM, TUNNEL, Solids, about_axis, directions, scan
-from snake_training.data.worlds import any_turn
+from snake_training.data.solids import CUBE, CYLINDER, ROOM, Solids, about_axis, directions, scan
 
 HELD_OUT = "rotunda", "stadium", "desks", "lobby"
 SIZE = 6.0, 5.0, 2.8  # of a furnished room
@@ -224,13 +223,6 @@ def fence(rng) -> Pair:
     return twice(world, [pose([0, 0, 1.7]), other], lidar(32, 900, -25, 15), rng, 0.01, 40.0)
 
 
-def mirrored(rng) -> Pair:
-    """A room of which one scan has a flipped axis: no transform is right."""
-    made, flip = room(rng), np.ones(3)
-    flip[rng.integers(3)] = -1
-    return made._replace(target=made.target * flip, right=[])
-
-
 def changed(rng) -> Pair:
     """A room in which half of the furniture is new."""
     rows = furnished(rng, count=7).rows
@@ -349,22 +341,6 @@ def lobby(rng) -> Pair:
     return twice(world, poses, lidar(48, 400, -60, 60), rng, 0.006, 30.0)
 
 
-def passage(rng, is_round: bool, is_lidar: bool) -> Pair:
-    """A corridor or a round tunnel from two positions along it: its surface leaves the way along it open."""
-    world, height, width = Solids(), rng.uniform(2.2, 3.5), rng.uniform(1.8, 4.0)
-    if is_round:
-        world.add(TUNNEL, [0, 0, width - 0.5 * rng.random()], [width, width, 300], about_axis(1, np.pi / 2))
-    else:
-        world.add(ROOM, [0, 0, height / 2], [300, width / 2, height / 2])
-    turn = rng.uniform(-8, 8) * (rng.random() < 0.5)
-    places = [(0, 1.3, 0), (rng.uniform(0.2, 3.0), 1.3 + rng.uniform(-0.2, 0.2), turn)]
-    poses = [pose([x, rng.uniform(-0.3, 0.3), z], degrees) for x, z, degrees in places]
-    if is_lidar:
-        beams = [(32, 720, -40, 40), (16, 900, -15, 15), (64, 900, -25, 5)][rng.integers(3)]
-        return twice(world, poses, lidar(*beams), rng, 0.02, rng.choice([20.0, 40.0]), metres=0.15)
-    return twice(world, poses, camera(), rng, rng.choice([0, 0.002, 0.01]), rng.choice([6.0, 12.0]), metres=0.15)
-
-
 def pillars(rng) -> Pair:
     """A row of equal pillars, between walls or in the open, from positions one or two periods apart."""
     world, period, radius, height = open_ground(), rng.uniform(1.0, 2.5), rng.uniform(0.15, 0.5), rng.uniform(2.0, 5.0)
@@ -383,37 +359,14 @@ def pillars(rng) -> Pair:
     return twice(world, poses, *sensor, metres=0.15)
 
 
-def symmetric(rng, name: str) -> Pair:
-    """Two samplings of a shape with more than one pose: no transform is the right one."""
-    count, noise, clouds = rng.choice([2000, 5000, 10_000]), rng.choice([0.0, 0.0, 0.01]), []
-    for _ in range(2):
-        points = rng.uniform(-1, 1, (count, 3))
-        if name == "cube":
-            points[np.arange(count), rng.integers(0, 3, count)] = rng.choice([-1, 1], count)
-        else:
-            axes = 3 if name == "ball" else 2
-            across = rng.normal(size=(count, axes))
-            points[:, :axes] = across / np.linalg.norm(across, axis=1)[:, None]
-            points[:, axes:] *= 3
-        clouds.append(points + noise * rng.normal(size=(count, 3)))
-    return Pair(clouds[0], clouds[1] @ any_turn(rng).T + rng.uniform(-2, 2, 3), [])
-
-
 def apart(rng, *kinds) -> Pair:
     """Two scans of two worlds: no transform is right."""
     return Pair(*(kind(rng).source for kind in kinds), [])
 
 
-NAMED = stairs, ramp, stairwell, motorway, slope, fence, mirrored, changed, room, camera_room, street
+NAMED = stairs, ramp, stairwell, motorway, slope, fence, changed, room, camera_room, street
 NAMED += boxes, rotunda, stadium, desks, lobby, pillars
 KINDS = {make.__name__: make for make in NAMED} | {
-    "corridor, camera": partial(passage, is_round=False, is_lidar=False),
-    "corridor, lidar": partial(passage, is_round=False, is_lidar=True),
-    "tunnel, camera": partial(passage, is_round=True, is_lidar=False),
-    "tunnel, lidar": partial(passage, is_round=True, is_lidar=True),
-    "ball": partial(symmetric, name="ball"),
-    "cube": partial(symmetric, name="cube"),
-    "cylinder": partial(symmetric, name="cylinder"),
     "two rooms": lambda rng: apart(rng, camera_room, camera_room),
     "two streets": lambda rng: apart(rng, street, street),
     "room and street": lambda rng: apart(rng, camera_room, street),

@@ -224,7 +224,7 @@ impl<'a> Wanted<'a> {
 
 /// The selection of [`Protocol::Paper`].
 fn random_subset(num_points: usize, mut responses: Vec<Response>, count: usize, seed: u64) -> Vec<Response> {
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = chacha20::ChaCha8Rng::seed_from_u64(seed);
     if responses.is_empty() {
         responses.push(Response { index: 0, score: 0.0 });
     }

@@ -19,7 +19,7 @@ pub fn random_points(points: &[Point], count: usize, seed: u64) -> Result<Vec<Re
 /// [`random_points`] for finite points.
 fn find(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
     index_cloud(points)?;
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = chacha20::ChaCha8Rng::seed_from_u64(seed);
     let mut drawn = by_falling_score((0..points.len()).map(|index| Response { index, score: rng.random() }).collect());
     drawn.truncate(count);
     Ok(drawn)

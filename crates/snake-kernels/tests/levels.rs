@@ -1,8 +1,8 @@
 //! Levels of instructions that round a multiplication with its addition once give the same bits: AVX2 and AVX-512, and on
 //! aarch64 the portable code and NEON. The portable code of x86-64 rounds twice.
 
+use chacha20::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use snake_kernels::{
     Conv3d, Corners, Epilogue, PackedConv3d, PackedLinear, SimdLevel, Source, conv3d, interpolate,
     interpolate_backward, linear,

@@ -103,8 +103,8 @@ pub(crate) fn displacement(a: &IsometryMatrix3<f64>, b: &IsometryMatrix3<f64>, p
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
 

@@ -1,8 +1,8 @@
 //! Poses of many clouds: sweeps in a made street, and storeys of a made house.
 
+use chacha20::ChaCha8Rng;
 use nalgebra::{IsometryMatrix3, Vector3};
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
 use snake_registration::{AlignOptions, AlignPriors, Alignment, Contradiction, RegisterOptions, align, align_with};

@@ -3,8 +3,8 @@
 
 use std::f32::consts::TAU;
 
+use chacha20::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use snake_core::{Control, Point, Result, RigidTransform};
 use snake_registration::{PairOptions, RegisterOptions, Registration, register, register_with};
 

@@ -3,9 +3,9 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use chacha20::ChaCha8Rng;
 use nalgebra::{IsometryMatrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use snake_core::{Control, Length, Point, RigidTransform};
 use snake_registration::steps::prepare;
 use snake_registration::{PairOptions, RegisterOptions, Registration, ViewpointUsed, align, register, register_with};

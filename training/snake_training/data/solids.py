@@ -1,6 +1,6 @@
 """Worlds of solids, each an affine image of a cube, a ball or a cylinder: rays meet them, surfaces are sampled, in closed form.
 
-Rooms and tunnels are cubes and cylinders that rays meet from inside: they have no surface to sample, and nothing lies in them.
+Rooms are cubes that rays meet from inside: they have no surface to sample, and nothing lies in them.
 
 Lengths are metres; x, y are horizontal, z is up.
 """
@@ -8,7 +8,7 @@ Lengths are metres; x, y are horizontal, z is up.
 import numpy as np
 
 # |x|, |y|, |z| <= 1; x^2 + y^2 + z^2 <= 1; x^2 + y^2 <= 1 with |z| <= 1; and the first and the third from inside.
-CUBE, BALL, CYLINDER, ROOM, TUNNEL = range(5)
+CUBE, BALL, CYLINDER, ROOM = range(4)
 
 
 def about_axis(axis, angle):
@@ -83,7 +83,7 @@ class Solids:
             inverse = np.linalg.inv(axis)
             o, d = (origins - center) @ inverse.T, directions @ inverse.T
             # Only rays that come near the solid's ball go on.
-            limit = {BALL: 1, CYLINDER: 2, TUNNEL: 2}.get(kind, 3)
+            limit = {BALL: 1, CYLINDER: 2}.get(kind, 3)
             near = np.flatnonzero(dot(o, o) - dot(o, d) ** 2 / dot(d, d) < limit)
             if len(near) == 0:
                 continue
@@ -138,7 +138,7 @@ def scan(world, t_world_sensor, rays, noise, furthest, rng):
 def entry(kind, o, d):
     """Where rays o + t d meet a unit solid: t (R,), infinite where they miss, and the normal (R, 3) in its coordinates.
 
-    That is where they enter it, or leave a room or tunnel.
+    That is where they enter it, or leave a room.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         if kind in (CUBE, ROOM):
@@ -155,12 +155,11 @@ def entry(kind, o, d):
             return np.where(root >= 0, enter, np.inf), o + enter[:, None] * d
         caps = np.sort(np.stack([(-1 - o[:, 2]) / d[:, 2], (1 - o[:, 2]) / d[:, 2]]), axis=0)
         is_hit = (root >= 0) & (np.maximum(enter, caps[0]) <= np.minimum(leave, caps[1]))
-        by_cap = caps[0] > enter if kind == CYLINDER else caps[1] < leave
-        t = np.where(by_cap, caps[0], enter) if kind == CYLINDER else np.where(by_cap, caps[1], leave)
+        by_cap = caps[0] > enter
         normal = o + enter[:, None] * d
         normal[:, 2] = 0
         normal[by_cap] = 0, 0, 1
-        return np.where(is_hit, t, np.inf), normal
+        return np.where(is_hit, np.where(by_cap, caps[0], enter), np.inf), normal
 
 
 def sample(kind, middle, axes, center, radius, density, rng):

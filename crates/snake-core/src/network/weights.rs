@@ -6,7 +6,6 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use half::f16;
 use safetensors::{Dtype, SafeTensors};
 use serde::de::DeserializeOwned;
 
@@ -118,7 +117,7 @@ impl<'data> Weights<'data> {
         let values: Vec<f32> = match view.dtype() {
             _ if view.shape() != shape => return Err(error(name, &expected(), format!("shape {:?}", view.shape()))),
             Dtype::F32 => data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-            Dtype::F16 => data.as_chunks().0.iter().map(|b| f16::from_le_bytes(*b).to_f32()).collect(),
+            Dtype::F16 => data.as_chunks().0.iter().map(|b| from_half(*b)).collect(),
             other => return Err(error(name, &expected(), format!("{other:?}"))),
         };
         match values.iter().position(|v| !v.is_finite()) {
@@ -126,6 +125,18 @@ impl<'data> Weights<'data> {
             None => Ok(values),
         }
     }
+}
+
+/// A number of IEEE 754 binary16: a sign, five bits of an exponent, ten of a fraction.
+fn from_half(bytes: [u8; 2]) -> f32 {
+    let bits = u16::from_le_bytes(bytes);
+    let magnitude = match (bits >> 10 & 31, f32::from(bits & 1023)) {
+        (0, fraction) => fraction * f32::powi(2.0, -24),
+        (31, 0.0) => f32::INFINITY,
+        (31, _) => f32::NAN,
+        (exponent, fraction) => (1024.0 + fraction) * f32::powi(2.0, i32::from(exponent) - 25),
+    };
+    magnitude.copysign(if bits >> 15 == 0 { 1.0 } else { -1.0 })
 }
 
 /// The tensors under one prefix.
@@ -149,4 +160,18 @@ impl Scope<'_> {
 /// An [`Error::Weights`]; text from the file is cut to one short line.
 pub(crate) fn error(tensor: &str, expected: &str, found: String) -> Error {
     Error::Weights { tensor: excerpt(tensor, 100), expected: expected.into(), found: excerpt(&found, 200) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::from_half;
+
+    #[test]
+    fn half_numbers_are_those_of_ieee_754() {
+        let bits = [0x0000, 0x8001, 0x03ff, 0x0400, 0x3555, 0xbc00, 0x7bff, 0xfc00_u16];
+        let values =
+            [0.0, -5.960_464_5e-8, 6.097_555e-5, 6.103_515_6e-5, 0.333_251_95, -1.0, 65504.0, f32::NEG_INFINITY];
+        assert_eq!(bits.map(|bits| from_half(bits.to_le_bytes())), values);
+        assert!(from_half([1, 0x7c]).is_nan());
+    }
 }

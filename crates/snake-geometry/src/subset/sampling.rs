@@ -1,8 +1,8 @@
 //! Random samples of clouds.
 
+use chacha20::ChaCha8Rng;
 use rand::SeedableRng;
 use rand::seq::index;
-use rand_chacha::ChaCha8Rng;
 
 use crate::Point;
 

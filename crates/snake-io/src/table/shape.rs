@@ -1,7 +1,7 @@
 //! The content of a file in f64, and its conversion to a cloud in f32.
 
+use chacha20::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use snake_geometry::Cloud;
 

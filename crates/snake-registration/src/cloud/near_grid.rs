@@ -115,8 +115,8 @@ impl NearGrid {
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
     use snake_geometry::{Neighbors, vector};
 
     use super::*;

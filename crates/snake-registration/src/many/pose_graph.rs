@@ -216,8 +216,8 @@ pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], varian
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::rigid::tests::random_transform;

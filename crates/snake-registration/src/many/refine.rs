@@ -55,9 +55,9 @@ pub(super) fn refine(
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use nalgebra::IsometryMatrix3;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::rigid::moved;

@@ -1,7 +1,7 @@
 //! Tests of alignment as a whole.
 
+use chacha20::ChaCha8Rng;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::Detector;

@@ -1,8 +1,8 @@
 //! Tests of registration as a whole.
 
+use chacha20::ChaCha8Rng;
 use nalgebra::{IsometryMatrix3, Vector3};
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::Detector;

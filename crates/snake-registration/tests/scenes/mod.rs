@@ -2,9 +2,9 @@
 
 use std::f64::consts::TAU;
 
+use chacha20::ChaCha8Rng;
 use nalgebra::{IsometryMatrix3, Vector3};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
 use snake_core::Point;
 
 pub type Vec3 = [f64; 3];

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::f64::consts::PI;
 
+use chacha20::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 

@@ -2,7 +2,8 @@
 //! storey, a half turn of a room.
 
 use super::constants::{ELSEWHERE, FEW_PLACES, MAX_SLIDE_TURN, REPEAT_PARALLEL};
-use nalgebra::{DMatrix, DMatrixView, DVectorView, IsometryMatrix3};
+use nalgebra::{DVectorView, IsometryMatrix3};
+use ndarray::{ArrayView1, ArrayView2, Axis};
 
 use crate::steps::consensus::consensus;
 use crate::steps::describe::{Rows, describe_cloud};
@@ -53,12 +54,12 @@ pub(super) fn shared_support(motions: &[SelfMotion], motion: &IsometryMatrix3<f6
 fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
     let points: Vec<Vector> = cloud.keypoints().into_iter().map(vector).collect();
     let squared_distance = (ELSEWHERE * cloud.lengths.inlier_distance).powi(2);
-    let all = DMatrixView::from_slice(rows.values(), rows.dimension(), rows.len());
-    let transposed = all.transpose();
+    let all = ArrayView2::from_shape((rows.len(), rows.dimension()), rows.values()).expect("the rows are whole");
     // The row b nearest to a has the greatest a·b - |b|²/2.
-    let half_norms: Vec<f32> = all.column_iter().map(|row| 0.5 * row.norm_squared()).collect();
+    let norm = |row: &[f32]| 0.5 * DVectorView::from_slice(row, row.len()).norm_squared();
+    let half_norms: Vec<f32> = rows.values().chunks_exact(rows.dimension()).map(norm).collect();
     let chosen: Vec<usize> = (0..points.len()).step_by(points.len().div_ceil(FEW_PLACES).max(1)).collect();
-    let nearest = |from: usize, products: DVectorView<f32>| {
+    let nearest = |from: usize, products: ArrayView1<f32>| {
         let mut best = (f32::NEG_INFINITY, None);
         for (to, (product, half_norm)) in products.iter().zip(&half_norms).enumerate() {
             let score = product - half_norm;
@@ -69,22 +70,17 @@ fn matches_elsewhere(cloud: &PreparedCloud, rows: &Rows) -> Vec<[usize; 2]> {
         best.1.map(|to| [from, to])
     };
     let matches = |chosen: &[usize]| {
-        let own = DMatrix::from_fn(rows.dimension(), chosen.len(), |axis, at| all[(axis, chosen[at])]);
-        let products = &transposed * own;
-        chosen
-            .iter()
-            .zip(products.column_iter())
-            .filter_map(|(&from, column)| nearest(from, column))
-            .collect::<Vec<_>>()
+        let products = all.select(Axis(0), chosen).dot(&all.t());
+        chosen.iter().zip(products.rows()).filter_map(|(&from, row)| nearest(from, row)).collect::<Vec<_>>()
     };
     chosen.chunks(CHUNK).flat_map(matches).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use nalgebra::Vector3;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::options::RegisterOptions;

@@ -34,8 +34,8 @@ pub(super) fn slide_margin(
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
     use snake_geometry::{Vector, vector};
 
     use super::*;

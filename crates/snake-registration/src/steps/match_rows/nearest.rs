@@ -1,6 +1,7 @@
 //! The two nearest rows of descriptors in both directions, by products of matrices.
 
-use nalgebra::{DMatrix, DMatrixView};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{ArrayView2, ArrayViewMut2};
 use snake_geometry::try_in_parallel;
 
 use snake_core::{Counter, Result};
@@ -127,15 +128,15 @@ pub(super) fn nearest_both(
     let [source_norms, target_norms] = [source, target].map(|rows| squared_norms(rows, dimension));
     let count = target_norms.len();
     let half_target_norms: Vec<f32> = target_norms.iter().map(|norm| 0.5 * norm).collect();
-    let transposed = DMatrixView::from_slice(target, dimension, count).transpose();
     let tile = |(tile, rows): (usize, &[f32])| {
         counter.check()?;
         let in_tile = rows.len() / dimension;
         counter.add(in_tile);
-        let mut products = DMatrix::<f32>::zeros(count, in_tile);
-        products.gemm(1.0, &transposed, &DMatrixView::from_slice(rows, dimension, in_tile), 0.0);
+        let mut products = vec![0.0; in_tile * count];
+        let mut product = ArrayViewMut2::from_shape((in_tile, count), &mut products).expect("a row has all products");
+        general_mat_mul(1.0, &matrix(rows, dimension), &matrix(target, dimension).t(), 0.0, &mut product);
         let mut column_best = vec![Lanes::NONE; count.div_ceil(LANES)];
-        let row_best = (tile * ROWS_PER_TILE..).zip(products.as_slice().chunks_exact(count)).map(|(row, products)| {
+        let row_best = (tile * ROWS_PER_TILE..).zip(products.chunks_exact(count)).map(|(row, products)| {
             let half_norm = 0.5 * source_norms[row];
             let mut best = Lanes::NONE;
             let blocks = products.chunks(LANES).zip(half_target_norms.chunks(LANES)).zip(&mut column_best);
@@ -163,14 +164,18 @@ pub(super) fn nearest_both(
     Ok([nearest(source_best, &source_norms), nearest(target_best, &target_norms)])
 }
 
+fn matrix(rows: &[f32], dimension: usize) -> ArrayView2<'_, f32> {
+    ArrayView2::from_shape((rows.len() / dimension, dimension), rows).expect("the rows are whole")
+}
+
 fn squared_norms(rows: &[f32], dimension: usize) -> Vec<f32> {
     rows.chunks_exact(dimension).map(|row| row.iter().map(|v| v * v).sum()).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
 

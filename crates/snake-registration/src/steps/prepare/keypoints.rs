@@ -1,7 +1,7 @@
 //! Keypoints of a downsampled cloud.
 
+use chacha20::ChaCha8Rng;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 
 use super::voxel_cloud::VoxelCloud;
 use crate::options::RegisterOptions;

@@ -78,8 +78,8 @@ pub(crate) fn remeasure(
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::cloud::normals::{Orientation, normals};

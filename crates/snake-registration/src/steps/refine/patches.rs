@@ -54,8 +54,8 @@ fn without_far(mut pairs: Vec<PlanePair>) -> Vec<PlanePair> {
 
 #[cfg(test)]
 mod tests {
+    use chacha20::ChaCha8Rng;
     use rand::SeedableRng;
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::rigid::tests::random_points;
