@@ -110,7 +110,7 @@ def test_the_number_of_threads_changes_no_bit_and_is_kept_in_a_child():
     """)
 
 
-@pytest.mark.parametrize("number", [0, 100_000])
+@pytest.mark.parametrize("number", [-1, 0, 100_000])
 def test_numbers_of_threads_that_make_no_sense_are_refused(number):
     with pytest.raises(ValueError, match=f"num_threads: {number}: allowed is 1 to "):
         snake_rs.set_num_threads(number)

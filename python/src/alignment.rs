@@ -1,5 +1,6 @@
 //! `snake_rs.align`.
 
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use snake_registration as core;
@@ -28,7 +29,7 @@ use crate::{arrays, options, records, warn};
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn align<'py>(
     py: Python<'py>,
-    clouds: Vec<Bound<'_, PyAny>>,
+    clouds: &Bound<'_, PyAny>,
     model: Option<&Bound<'_, PyAny>>,
     viewpoints: Option<Vec<Option<[f64; 3]>>>,
     initial_poses: Option<Vec<Option<Bound<'_, PyAny>>>>,
@@ -36,6 +37,8 @@ pub fn align<'py>(
     progress: Option<Py<PyAny>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let listed = "clouds: allowed is a list of clouds or of their paths, such as sorted(Path(folder).glob('*.ply'))";
+    let clouds: Vec<Bound<'_, PyAny>> = clouds.extract().map_err(|_| PyTypeError::new_err(listed))?;
     let watch = Watch::new(deadline, progress)?;
     let (options, align_options): (core::RegisterOptions, core::AlignOptions) = options::of("align", options)?;
     let read = clouds.iter().map(|cloud| {

@@ -94,11 +94,13 @@ pub fn run_watched<T: Send>(
 /// has its own threads. Results have the same bits for any number of threads. Raises ValueError if `num_threads` is 0,
 /// or greater than both 256 and the number of processors.
 #[pyfunction]
-pub fn set_num_threads(num_threads: usize) -> PyResult<()> {
-    if num_threads == 0 {
-        return Err(value_error(&format!("num_threads: 0: allowed is 1 to {}", max_num_threads())));
+pub fn set_num_threads(num_threads: i64) -> PyResult<()> {
+    match usize::try_from(num_threads) {
+        Err(_) | Ok(0) => {
+            Err(value_error(&format!("num_threads: {num_threads}: allowed is 1 to {}", max_num_threads())))
+        }
+        Ok(number) => POOL.set_num_threads(number).map_err(py_error),
     }
-    POOL.set_num_threads(num_threads).map_err(py_error)
 }
 
 /// The number of threads that all calls of this process share. Raises ValueError when the threads cannot be started.

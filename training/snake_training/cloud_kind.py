@@ -20,6 +20,7 @@ from .data.views import FRAMES, bare_room, one_sided, table_top
 from .data.worlds import any_turn
 
 LIMIT = 3.0  # standard deviations: signs beyond count as much
+OBJECTS = 0.55  # weight of all objects; scenes have the rest, because whole ones are hardly ever taken for objects
 
 
 def signs(clouds):
@@ -145,7 +146,7 @@ class Rule:
 def fit(groups, penalty=3e-4):
     """The rule by groups of signs (N, K) and whether these are scenes.
 
-    Each class is as important as the other, and a group of a class counts by the root of its number of clouds.
+    A group counts by the root of its number of clouds, and objects by OBJECTS.
     """
     signs = np.concatenate([rows for rows, _ in groups])
     truth = np.concatenate([np.full(len(rows), is_scene) for rows, is_scene in groups])
@@ -154,8 +155,8 @@ def fit(groups, penalty=3e-4):
     mean, deviation = rows.mean(axis=0), rows.std(axis=0)
     scaled = np.column_stack([(rows - mean) / deviation, np.ones(len(rows))])
     importance = np.concatenate([np.full(len(rows), len(rows) ** -0.5) for rows, _ in groups])
-    for is_scene in (False, True):
-        importance[truth == is_scene] *= 0.5 * len(rows) / importance[truth == is_scene].sum()
+    for is_scene, share in ((False, OBJECTS), (True, 1 - OBJECTS)):
+        importance[truth == is_scene] *= share * len(rows) / importance[truth == is_scene].sum()
     pull = penalty * len(rows) * np.r_[np.ones(rows.shape[1]), 0]
     weights = np.zeros(scaled.shape[1])
     for _ in range(30):

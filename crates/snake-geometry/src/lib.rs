@@ -32,7 +32,8 @@ mod transform;
 
 pub use clouds::{
     Bounds, Cloud, Covariance, FinitePoints, Keypoint, Length, Mesh, Normalization, NormalizationMethod, Outliers,
-    Point, Reach, Sensor, add_origin, check_pairs, check_points, gaps, one_a_cell, resolution, subtract_origin, unit,
+    Point, Reach, Sensor, add_origin, check_extent, check_pairs, check_points, gaps, one_a_cell, resolution,
+    subtract_origin, unit,
 };
 pub use error::{Error, Result};
 pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_spread, vector};

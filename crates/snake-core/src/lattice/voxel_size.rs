@@ -20,10 +20,10 @@ use rayon::prelude::*;
 use super::blocks::MAX_NODE;
 use super::corner::lowest_corner;
 use super::levels::FinestLevel;
+use crate::Result;
 use crate::cloud::{CoordinateStep, UsedCloud};
 use crate::control::Control;
-use crate::{Error, Result};
-use snake_geometry::{Length, Point};
+use snake_geometry::{Length, Point, check_extent};
 
 /// Maximum number of occupied voxels: about as many as a sweep of 120 000 points has at 0.28 m.
 const MAX_VOXELS: usize = 32_000;
@@ -78,10 +78,7 @@ fn step_for_density(cloud: &UsedCloud, control: &Control) -> Result<i32> {
     }
     let voxels = Voxels { points: cloud.points(), lowest: lowest_corner(cloud.points()) };
     let extent = voxels.extent();
-    if !(1e-15..1e15).contains(&extent) {
-        let reason = format!("extent {extent:.1e}: a voxel size cannot be chosen; a cloud needs two different points");
-        return Err(Error::Input { what: "points", reason });
-    }
+    check_extent(extent)?;
     let largest = step_of(extent);
     let share = SHARES[usize::from(cloud.is_sweep())];
     let step = step_for_places(&voxels, largest, share, control)?;

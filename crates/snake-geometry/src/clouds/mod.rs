@@ -18,5 +18,5 @@ pub use keypoint::Keypoint;
 pub use length::{Length, gaps, one_a_cell, resolution};
 pub use mesh::{Mesh, unit};
 pub use outliers::{Outliers, Reach};
-pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_pairs, check_points};
+pub use points::{FinitePoints, Normalization, NormalizationMethod, Point, check_extent, check_pairs, check_points};
 pub use sensor::Sensor;

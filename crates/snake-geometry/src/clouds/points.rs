@@ -62,13 +62,10 @@ impl Normalization {
     /// [`Normalization::of`] for points that are all used, at least one.
     pub fn from_finite(points: &[Point], method: NormalizationMethod) -> Result<Self> {
         if method.is_fixed() {
-            let largest = points.as_flattened().iter().fold(0.0, |m: f32, v| m.max(v.abs()));
+            let largest = points.as_flattened().iter().fold(1.0, |m: f32, v| m.max(v.abs()));
+            check_extent(f64::from(largest))?;
             let scale = if method == NormalizationMethod::Half { 2.0 } else { 1.0 };
-            return if largest <= 1e15 {
-                Ok(Self { center: [0.0; 3], scale })
-            } else {
-                Err(outside(f64::from(largest)))
-            };
+            return Ok(Self { center: [0.0; 3], scale });
         }
         // The sums are in f64, so that a mean over millions of points far from the origin keeps its precision.
         let mean: [f64; 3] =
@@ -84,14 +81,7 @@ impl Normalization {
             })
             .fold(0.0, f64::max);
         let (center, scale) = (mean.map(|v| v as f32), (2.0 * extent) as f32);
-        if extent == 0.0 {
-            let reason =
-                format!("all points ({}) are equal; a cloud needs at least two different points", points.len());
-            return Err(Error::Input { what: "points", reason });
-        }
-        if !(1e-15..=1e15).contains(&extent) {
-            return Err(outside(extent));
-        }
+        check_extent(extent)?;
         Ok(Self { center, scale })
     }
 
@@ -106,9 +96,17 @@ impl Normalization {
     }
 }
 
-fn outside(extent: f64) -> Error {
-    let reason = format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; use another unit or remove outliers");
-    Error::Input { what: "points", reason }
+/// Checks that a cloud of this extent can be computed with.
+///
+/// # Errors
+/// [`Error::Input`] outside 1e-15 to 1e15.
+pub fn check_extent(extent: f64) -> Result<()> {
+    let reason = match extent {
+        1e-15..=1e15 => return Ok(()),
+        0.0 => "all points are equal; a cloud needs at least two different points".into(),
+        _ => format!("extent {extent:.1e}, allowed is 1e-15 to 1e15; use another unit or remove outliers"),
+    };
+    Err(Error::Input { what: "points", reason })
 }
 
 /// The points of a cloud that are used: finite points that are not [`Outliers`]. Depth cameras mark missing points by NaN.

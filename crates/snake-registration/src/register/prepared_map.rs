@@ -69,12 +69,12 @@ impl PreparedMap {
     pub fn register(&self, scan: &Cloud, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
         let start = Instant::now();
         pair_options.check()?;
-        let refused = |name, allowed| Err(Error::Option { name, value: "a value".into(), allowed });
+        let refused = |name, value: &str, allowed| Err(Error::Option { name, value: value.into(), allowed });
         if pair_options.target_viewpoint.is_some() {
-            return refused("target_viewpoint", "none: that of the map was given with it");
+            return refused("target_viewpoint", "a place", "none: that of the map was given with it");
         }
         if pair_options.estimate_scale {
-            return refused("estimate_scale", "false: the lengths of a map are fixed");
+            return refused("estimate_scale", "true", "false: the lengths of a map are fixed");
         }
         let (options, mut pair_options) = (&self.options, *pair_options);
         pair_options.place(scan.origin, self.origin);
