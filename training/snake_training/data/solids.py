@@ -80,14 +80,14 @@ class Solids:
         kinds, centers, axes, _, _ = self.arrays()
         best, which, slope = np.full(len(origins), np.inf), np.zeros(len(origins), int), np.ones(len(origins))
         for row, (kind, center, axis) in enumerate(zip(kinds, centers, axes, strict=True)):
-            inverse = np.linalg.inv(axis)
-            o, d = (origins - center) @ inverse.T, directions @ inverse.T
-            # Only rays that come near the solid's ball go on.
-            limit = {BALL: 1, CYLINDER: 2}.get(kind, 3)
-            near = np.flatnonzero(dot(o, o) - dot(o, d) ** 2 / dot(d, d) < limit)
+            # Only rays that come near the ball around the solid go on.
+            to = center - origins
+            ahead, radius = dot(to, directions), np.linalg.norm(axis)
+            near = np.flatnonzero((dot(to, to) - ahead**2 <= radius**2) & (ahead >= -radius))
             if len(near) == 0:
                 continue
-            t, normal = entry(kind, o[near], d[near])
+            inverse = np.linalg.inv(axis)
+            t, normal = entry(kind, -to[near] @ inverse.T, directions[near] @ inverse.T)
             closer = (t > 1e-3) & (t < best[near])
             rows = near[closer]
             best[rows], which[rows] = t[closer], row
