@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snake_training.data.solids import CUBE, CYLINDER, ROOM, Solids, about_axis, directions, scan
+from snake_training.data.solids import CUBE, CYLINDER, Solids, about_axis, directions, scan
 
 HELD_OUT = "rotunda", "stadium", "desks", "lobby"
 SIZE = 6.0, 5.0, 2.8  # of a furnished room
@@ -341,31 +341,13 @@ def lobby(rng) -> Pair:
     return twice(world, poses, lidar(48, 400, -60, 60), rng, 0.006, 30.0)
 
 
-def pillars(rng) -> Pair:
-    """A row of equal pillars, between walls or in the open, from positions one or two periods apart."""
-    world, period, radius, height = open_ground(), rng.uniform(1.0, 2.5), rng.uniform(0.15, 0.5), rng.uniform(2.0, 5.0)
-    side, is_square = rng.uniform(1.5, 3.0), rng.random() < 0.5
-    for y in (-side, side) if rng.random() < 0.5 else (side,):
-        for x in np.arange(-60, 60) * period:
-            if is_square:
-                box(world, [x, y, height / 2], [2 * radius, 2 * radius, height])
-            else:
-                post(world, x, y, 0, height, radius)
-    if rng.random() < 0.5:
-        world.add(ROOM, [0, 0, height / 2 - 0.25], [500, side + 1, height / 2 + 0.25])
-    start, degrees = rng.uniform(0, period), rng.choice([0.0, 20.0])  # one pillar alone does not show that it repeats
-    poses = [pose([start + k * period, 0, 1.4], degrees) for k in (0, rng.integers(1, 3))]
-    sensor = (lidar(), rng, 0.02, 25.0) if rng.random() < 0.5 else (camera(), rng, 0.005, 12.0)
-    return twice(world, poses, *sensor, metres=0.15)
-
-
 def apart(rng, *kinds) -> Pair:
     """Two scans of two worlds: no transform is right."""
     return Pair(*(kind(rng).source for kind in kinds), [])
 
 
 NAMED = stairs, ramp, stairwell, motorway, slope, fence, changed, room, camera_room, street
-NAMED += boxes, rotunda, stadium, desks, lobby, pillars
+NAMED += boxes, rotunda, stadium, desks, lobby
 KINDS = {make.__name__: make for make in NAMED} | {
     "two rooms": lambda rng: apart(rng, camera_room, camera_room),
     "two streets": lambda rng: apart(rng, street, street),

@@ -33,6 +33,8 @@ const MIN_WIDTH: f64 = 0.1;
 const SCALE: f64 = 0.35;
 /// Cosines below this are smoothed, because a ray along a surface hits its roughness.
 const MIN_COSINE: f64 = 0.03;
+/// A neighbourhood is parallel to a plane if the cosine of their normals is above this.
+const PARALLEL: f64 = 0.95;
 /// Number of places along each axis of the grid at which the search starts.
 const PLACES: i32 = 9;
 /// The grid extends to this many times the median distance of the points from their middle.
@@ -43,6 +45,8 @@ const FEW_DENSITIES: usize = 200;
 const STARTS: usize = 5;
 /// Largest ratio of the costs with and without a lattice of rays. Scanners have 0.4 and less, cameras 0.06, others 0.8.
 const LATTICE_COST: f64 = 0.6;
+/// The same ratio of the costs of bundles. Tripods on open ground have 0.64.
+const BUNDLES_COST: f64 = 0.8;
 /// Maximum number of bundles of rays that refine the place, and number of rays in each.
 const MAX_BUNDLES: usize = 700;
 const RAYS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
@@ -70,9 +74,9 @@ const MIN_NOISE: f64 = 0.02;
 const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
 /// Side of a pixel for visibility, as the tangent of an angle, for a sensor within the cloud.
 const PIXEL: f64 = 0.05;
-/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.9 and more.
-/// A model around its origin has 0 to 0.1, and so have points that several scanners saw around them.
-const MIN_AHEAD: f64 = 0.5;
+/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.89 and more.
+/// A model around its origin has 0 to 0.1, one beside it 0.6 to 0.94.
+const MIN_AHEAD: f64 = 0.87;
 /// Nor are they far away: the median point is at most this many median distances from the camera. Fused images have 1.9 to 4.
 const MAX_AWAY: f64 = 4.5;
 /// Smallest visible share of fused images; the camera moved, so it does not see all. They have 0.59 and more. Merged scans, seen
@@ -103,25 +107,29 @@ impl Sensor {
         if densities.len() < MIN_DENSITIES {
             return None;
         }
-        let best = search(&densities, &cloud.points);
+        let best = search(&densities, &cloud.points).above(&densities, &cloud.points);
         let unexplained = (best.cost + MIN_NOISE) / cost_of_even(&densities);
         if unexplained > MAX_UNEXPLAINED {
             return Self::before_fused(&cloud.points);
         }
-        if unexplained + 1.0 - visible_share(&cloud.points, &best.place) > MAX_UNEXPLAINED {
+        let distance = median(cloud.points.iter().map(Vector::norm).collect());
+        let is_origin = best.place.norm() < AT_ORIGIN * distance;
+        // Few densities do not show a lattice that many rays show.
+        let turning = Fit { lattice: Lattice::Turning, axis: facing(&densities), ..best };
+        let by_bundles = |fit: Fit| if is_origin { None } else { fit.by_bundles(&cloud.points) };
+        let turning = (best.lattice == Lattice::None).then_some(turning).and_then(by_bundles);
+        let in_view = by_bundles(best);
+        let is_turning = |(fit, _): &(Fit, f64)| in_view.is_none_or(|(none, _)| fit.cost < BUNDLES_COST * none.cost);
+        let in_view = turning.filter(is_turning).or(in_view);
+        let place = if is_origin { Vector::zeros() } else { in_view.map_or(best.place, |(fit, _)| fit.place) };
+        let visible = visible_share(&cloud.points, &place);
+        if unexplained + 1.0 - visible > MAX_UNEXPLAINED {
             return None;
         }
         let on_surfaces = densities.iter().map(|density| (density.point, best.residual(&density))).collect();
         let on_surfaces = excess(on_surfaces, &best.place)?;
-        let distance = median(cloud.points.iter().map(Vector::norm).collect());
-        let is_origin = best.place.norm() < AT_ORIGIN * distance;
-        let in_view = if is_origin { None } else { best.by_bundles(&cloud.points) };
-        let (fit, excess) = in_view.map_or((best, on_surfaces), |(fit, in_view)| (fit, on_surfaces * in_view));
-        if on_surfaces > MAX_EXCESS || excess > MAX_EXCESS_IN_VIEW {
-            return None;
-        }
-        let place = if is_origin { Vector::zeros() } else { fit.place };
-        Some(Self { position: place.into(), visible: visible_share(&cloud.points, &place) })
+        let in_view = on_surfaces * in_view.map_or(1.0, |(_, excess)| excess);
+        (on_surfaces <= MAX_EXCESS && in_view <= MAX_EXCESS_IN_VIEW).then(|| Self { position: place.into(), visible })
     }
 
     /// The frame's origin, if a camera there may have taken the fused images, whose densities do not tell.
@@ -326,6 +334,23 @@ impl Fit {
         patch.density(&self.place, self.lattice, &self.axis).0 - self.log
     }
 
+    /// This fit, or the one near its mirror image in the plane that faces most densities, such as the ground: the plane has the
+    /// same densities for both, but only the right one sees what stands on the plane.
+    fn above(self, densities: &[Density], points: &[Vector]) -> Self {
+        let normal = facing(densities);
+        let on_it = densities.iter().filter(|density| density.normal.dot(&normal).abs() > PARALLEL);
+        let heights = on_it.map(|density| density.point.dot(&normal)).chain([self.place.dot(&normal)]);
+        let place = self.place + 2.0 * (median(heights.collect()) - self.place.dot(&normal)) * normal;
+        let few: Vec<&Density> = densities.iter().step_by(densities.len().div_ceil(FEW_DENSITIES)).collect();
+        let near = Self::at(&few, place, self.lattice, self.axis).improved(&few, MAX_STEPS);
+        let unexplained = |fit: &Self| fit.cost / cost_of_even(densities) - visible_share(points, &fit.place);
+        if unexplained(&near) > unexplained(&self) {
+            return self;
+        }
+        let all: Vec<&Density> = densities.iter().collect();
+        Self::at(&all, near.place, near.lattice, near.axis).improved(&all, MAX_STEPS)
+    }
+
     /// The best fit near this one to the bundles that are seen from there, and its excess; `None` if the bundles are rays of
     /// single beams, which have no width.
     fn by_bundles(mut self, points: &[Vector]) -> Option<(Self, f64)> {
@@ -394,6 +419,13 @@ fn search(densities: &[Density], points: &[Vector]) -> Fit {
     let fits = lattices.map(|(lattice, axis)| Fit::at(&few, best.place, lattice, axis).improved(&few, MAX_STEPS));
     let best = fits.filter(|fit| fit.cost < LATTICE_COST * best.cost).min_by(by_cost).unwrap_or(best);
     Fit::at(&all, best.place, best.lattice, best.axis).improved(&all, MAX_STEPS)
+}
+
+/// The direction that most densities face.
+fn facing(densities: &[Density]) -> Vector {
+    let normals: Matrix3<f64> = densities.iter().map(|density| density.normal * density.normal.transpose()).sum();
+    let eigen = SymmetricEigen::new(normals);
+    eigen.eigenvectors.column(eigen.eigenvalues.imax()).into()
 }
 
 /// The residuals of a fit relative to the differences between neighbours. A smooth change with the direction does not count: a
@@ -479,6 +511,14 @@ mod tests {
             assert!(off.norm() < 0.03 && sensor.visible > 0.95, "{sensor:?}");
         }
         assert_eq!(Sensor::find(&EYES.map(scan).concat()), None);
+    }
+
+    #[test]
+    fn a_sensor_stands_on_the_side_of_the_ground_from_which_it_sees_the_walls() {
+        let is_open = |point: &Point| point[2] < 5.01 || (point[1] > -15.51 || point[0] > 35.99) && point[2] < 5.6;
+        let open: Vec<Point> = scan(EYES[0]).into_iter().filter(is_open).collect();
+        let off = Vector::from(Sensor::find(&open).unwrap().position) - Vector::from(EYES[0]) - SITE;
+        assert!(off.norm() < 0.1, "{off:?}");
     }
 
     #[test]
