@@ -74,7 +74,6 @@ def test_every_part_of_the_module_computes_in_a_child():
             snake_rs.baselines.iss(points), snake_rs.baselines.harris3d(points), snake_rs.baselines.sift3d(points)
             return found.tobytes()
         expected = everything()
-        # A child, a child of it, and the parent afterwards.
         assert in_a_child(lambda: everything() == expected and in_a_child(lambda: everything() == expected))
         assert everything() == expected
     """)

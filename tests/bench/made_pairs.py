@@ -271,20 +271,6 @@ def street(rng, low: float = 4.0, high: float = 12.0, metres: float = 0.6) -> Pa
     return twice(world, poses, lidar(32, 700, -25, 12), rng, 0.015, 60.0, metres=metres)
 
 
-def boxes(rng) -> Pair:
-    """A heap of boxes without surroundings, sampled on two overlapping parts."""
-    heap = Solids()
-    for _ in range(12):
-        turn = yaw(rng.uniform(0, 90)) @ about_axis(0, rng.uniform(0, 1.5))
-        box(heap, rng.uniform([-0.5, -0.5, 0], [0.5, 0.5, 0.6]), rng.uniform(0.15, 0.6, 3), turn)
-    points = heap.surface(np.zeros(3), 3.0, 4000.0, rng)
-    along = points[:, :2] @ yaw(rng.uniform(0, 360))[0, :2] + 0.02 * rng.normal(size=len(points))
-    low, high = np.quantile(along, [0.25, 0.75])
-    chosen, t = rng.random(len(points)) < 0.5, pose(rng.uniform(-2, 2, 3), rng.uniform(0, 360))
-    source, target = points[chosen & (along < high)], points[~chosen & (along > low)]
-    return Pair(source, target @ t[:3, :3].T + t[:3, 3], [t], metres=0.06)
-
-
 def rotunda(rng) -> Pair:
     """A round hall whose columns stand at equal angles."""
     world, number, radius = hall([-20, -20, 0], [20, 20, 6]), rng.integers(6, 13), rng.uniform(5, 8)
@@ -347,7 +333,7 @@ def apart(rng, *kinds) -> Pair:
 
 
 NAMED = stairs, ramp, stairwell, motorway, slope, fence, changed, room, camera_room, street
-NAMED += boxes, rotunda, stadium, desks, lobby
+NAMED += rotunda, stadium, desks, lobby
 KINDS = {make.__name__: make for make in NAMED} | {
     "two rooms": lambda rng: apart(rng, camera_room, camera_room),
     "two streets": lambda rng: apart(rng, street, street),

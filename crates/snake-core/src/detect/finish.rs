@@ -32,7 +32,7 @@ pub(super) fn finish(
         _ => (modes, Vec::new()),
     };
     let places = match &patches {
-        Some(patches) if moves_to_planes => localize(patches, &positions),
+        Some(patches) if moves_to_planes => localize(patches, &positions, &scores),
         _ => positions.into_iter().map(Place::unknown).collect::<Vec<_>>(),
     };
     let drops_rows = moves_to_planes && options.min_confidence.is_some();
@@ -53,7 +53,7 @@ pub(super) fn finish(
     }
     let (mut places, scores) = (selected(&places, &kept), selected(&scores, &kept));
     if let (Some(patches), true) = (&patches, moves_to_surface) {
-        let determined = localize(patches, &selected(&positions, &kept));
+        let determined = localize(patches, &selected(&positions, &kept), &scores);
         places.iter_mut().zip(determined).for_each(|(place, at)| *place = Place { position: place.position, ..at });
     }
     let points = field.finite_points();

@@ -74,9 +74,9 @@ const MIN_NOISE: f64 = 0.02;
 const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
 /// Side of a pixel for visibility, as the tangent of an angle, for a sensor within the cloud.
 const PIXEL: f64 = 0.05;
-/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.89 and more.
-/// A model around its origin has 0 to 0.1, one beside it 0.6 to 0.94.
-const MIN_AHEAD: f64 = 0.87;
+/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.89 and more,
+/// sectors of 140 degrees 0.77. A model around its origin has 0 to 0.1; one beside it, 0.6 to 0.94, is not told apart.
+const MIN_AHEAD: f64 = 0.5;
 /// Nor are they far away: the median point is at most this many median distances from the camera. Fused images have 1.9 to 4.
 const MAX_AWAY: f64 = 4.5;
 /// Smallest visible share of fused images; the camera moved, so it does not see all. They have 0.59 and more. Merged scans, seen

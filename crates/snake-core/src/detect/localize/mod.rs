@@ -35,8 +35,10 @@ const REACH: f32 = 0.5;
 const SMALL_AREA: f32 = 3.2;
 /// Largest factor by which the radius grows.
 const MAX_GROWTH: f32 = 1.6;
-/// Planes do not localize a keypoint of a scene whose nearby cells have fewer points on average, as in a thinned sweep.
+/// The points around a keypoint of a scene are sparse if nearby cells have fewer points on average, as in a thinned sweep.
 const MIN_DENSITY: f64 = 1.9;
+/// Sparse points localize only keypoints of at most this score: the field knows others better.
+const FAINT: f32 = 0.5;
 /// Weight of the regularization that holds a keypoint in place, as a share of all weights.
 const HOLD: f64 = 0.02;
 /// Residual at which a patch's weight falls to a quarter, by round, as a share of the radius. It shrinks to exclude other surfaces.
@@ -162,12 +164,12 @@ pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> 
     Ok(certain.len() as f32 > SHOWN * asked.len() as f32)
 }
 
-/// Localizes keypoints on the planar patches around them.
-pub(crate) fn localize(patches: &Patches, keypoints: &[Point]) -> Vec<Place> {
-    in_parallel(keypoints.iter(), |keypoint| place(patches, *keypoint))
+/// Localizes keypoints, which have these scores, on the planar patches around them.
+pub(crate) fn localize(patches: &Patches, keypoints: &[Point], scores: &[f32]) -> Vec<Place> {
+    in_parallel(0..keypoints.len(), |index| place(patches, keypoints[index], scores[index]))
 }
 
-fn place(patches: &Patches, keypoint: Point) -> Place {
+fn place(patches: &Patches, keypoint: Point, score: f32) -> Place {
     let (mut around, mut points) = (Sums::default(), 0);
     patches.anchors.within(&keypoint, patches.radius, |anchor| {
         around.add(&(vector(patches.anchors.points()[anchor]) - vector(keypoint)));
@@ -175,7 +177,8 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
     });
     let flatness = around.plane(0.0).map_or(1.0, |plane| plane.flatness as f32);
     let unknown = Place { flatness, ..Place::unknown(keypoint) };
-    if patches.is_scene && f64::from(points) < MIN_DENSITY * around.count as f64 {
+    let is_sparse = patches.is_scene && f64::from(points) < MIN_DENSITY * around.count as f64;
+    if is_sparse && score > FAINT {
         return unknown;
     }
     let area = around.count.max(1) as f32 * (patches.side / patches.radius).powi(2);
@@ -191,7 +194,8 @@ fn place(patches: &Patches, keypoint: Point) -> Place {
     let radius = f64::from(radius);
     let field_deviation = FIELD_DEVIATION[usize::from(!patches.is_scene)] * radius;
     let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, radius, field_deviation);
-    Place { flatness, ..last.map_or(unknown, place) }
+    let place = last.map_or(unknown, place);
+    Place { flatness, corner: if is_sparse { 0.0 } else { place.corner }, ..place }
 }
 
 /// Weighted sums over the patches near a position, relative to it.

@@ -28,11 +28,21 @@ fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
 
 fn localized(points: &[Point], start: Point) -> Place {
     let anchors = first_of_cells(points, SIDES[0] * 0.25, |point| point);
-    localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start])[0]
+    localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start], &[1.0])[0]
 }
 
 fn distance(a: Point, b: Point) -> f32 {
     (vector(a) - vector(b)).norm() as f32
+}
+
+#[test]
+fn sparse_points_of_a_scene_localize_faint_keypoints_only() {
+    let (points, start) = (corner(3, 0.05, 0.002), [0.05, 0.03, 0.04]);
+    let anchors = Anchors { is_scene: true, ..first_of_cells(&points, SIDES[0] * 0.25, |point| point) };
+    let patches = Patches::new(&points, &anchors, 0.25).unwrap();
+    let [faint, salient] = [0.4, 0.9].map(|score| localize(&patches, &[start], &[score])[0]);
+    assert!(distance(faint.position, [0.0; 3]) < 0.02 && faint.corner == 0.0, "{faint:?}");
+    assert_eq!(salient.position, start);
 }
 
 #[test]
@@ -107,7 +117,7 @@ fn points_as_sparse_as_cells_determine_nothing() {
         let points = corner(3, spacing, 0.003);
         let cells = first_of_cells(&points, SIDES[0] * 0.25, |point| point);
         let anchors = Anchors { is_scene: true, ..cells };
-        let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start]);
+        let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start], &[1.0]);
         assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
         assert_ne!(localized(&points, start).covariance, Covariance::UNKNOWN);
     }

@@ -144,7 +144,9 @@ impl PlacedDetector {
                 return Ok(TileOutcome::NeedsMargin(margin.saturating_mul(2)));
             };
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
-            let places = localize(&Surroundings::of(&field, self.options.detect.prefer).patches()?, &positions);
+            let scores: Vec<f32> = modes.iter().map(|candidate| candidate.saliency).collect();
+            let places =
+                localize(&Surroundings::of(&field, self.options.detect.prefer).patches()?, &positions, &scores);
             let localized = |(candidate, place): (Candidate, Place)| {
                 let Place { position, covariance, deviations, .. } = place;
                 let rank = place.rank(candidate.saliency);
