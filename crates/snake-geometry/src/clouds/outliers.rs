@@ -63,7 +63,7 @@ impl Reach {
         squared_distance(&position, &self.center) <= self.limit.powi(2)
     }
 
-    /// The outliers among finite points; `None` if there are none.
+    /// Finds the outliers among finite points, if there are any.
     pub fn outliers(&self, points: &[Point]) -> Option<Outliers> {
         let squared = points.iter().map(|point| squared_distance(&point.map(f64::from), &self.center));
         let limit = self.limit.powi(2);

@@ -209,7 +209,7 @@ impl<'a> FinitePoints<'a> {
         if self.indices.is_empty() { index } else { self.indices[index] }
     }
 
-    /// The outliers that were left out; `None` if there are none.
+    /// The outliers that were left out, if there are any.
     pub fn outliers(&self) -> Option<Outliers> {
         self.outliers
     }

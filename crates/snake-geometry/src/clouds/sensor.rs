@@ -115,7 +115,7 @@ impl Sensor {
         let distance = median(cloud.points.iter().map(Vector::norm).collect());
         let is_origin = best.place.norm() < AT_ORIGIN * distance;
         // Few densities do not show a lattice that many rays show.
-        let turning = Fit { lattice: Lattice::Turning, axis: facing(&densities), ..best };
+        let turning = Fit { lattice: Lattice::Turning, axis: axes(&densities)[0], ..best };
         let by_bundles = |fit: Fit| if is_origin { None } else { fit.by_bundles(&cloud.points) };
         let turning = (best.lattice == Lattice::None).then_some(turning).and_then(by_bundles);
         let in_view = by_bundles(best);
@@ -337,7 +337,7 @@ impl Fit {
     /// This fit, or the one near its mirror image in the plane that faces most densities, such as the ground: the plane has the
     /// same densities for both, but only the right one sees what stands on the plane.
     fn above(self, densities: &[Density], points: &[Vector]) -> Self {
-        let normal = facing(densities);
+        let [normal, ..] = axes(densities);
         let on_it = densities.iter().filter(|density| density.normal.dot(&normal).abs() > PARALLEL);
         let heights = on_it.map(|density| density.point.dot(&normal)).chain([self.place.dot(&normal)]);
         let place = self.place + 2.0 * (median(heights.collect()) - self.place.dot(&normal)) * normal;
@@ -412,20 +412,20 @@ fn search(densities: &[Density], points: &[Vector]) -> Fit {
     starts.sort_by(by_cost);
     let fits = starts[..STARTS].iter().map(|start| start.improved(&few, MAX_STEPS));
     let best = fits.min_by(by_cost).unwrap_or(starts[0]);
-    let normals: Matrix3<f64> = densities.iter().map(|density| density.normal * density.normal.transpose()).sum();
-    let axes = SymmetricEigen::new(normals).eigenvectors;
-    let turning = axes.column_iter().map(|axis| (Lattice::Turning, Vector::from(axis)));
-    let lattices = turning.chain([(Lattice::Image, (center - best.place).normalize())]);
+    let turning = axes(densities).map(|axis| (Lattice::Turning, axis));
+    let lattices = turning.into_iter().chain([(Lattice::Image, (center - best.place).normalize())]);
     let fits = lattices.map(|(lattice, axis)| Fit::at(&few, best.place, lattice, axis).improved(&few, MAX_STEPS));
     let best = fits.filter(|fit| fit.cost < LATTICE_COST * best.cost).min_by(by_cost).unwrap_or(best);
     Fit::at(&all, best.place, best.lattice, best.axis).improved(&all, MAX_STEPS)
 }
 
-/// The direction that most densities face.
-fn facing(densities: &[Density]) -> Vector {
+/// The principal axes of the normals; most densities face the first.
+fn axes(densities: &[Density]) -> [Vector; 3] {
     let normals: Matrix3<f64> = densities.iter().map(|density| density.normal * density.normal.transpose()).sum();
-    let eigen = SymmetricEigen::new(normals);
-    eigen.eigenvectors.column(eigen.eigenvalues.imax()).into()
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(normals);
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigenvalues[b].total_cmp(&eigenvalues[a]));
+    order.map(|axis| eigenvectors.column(axis).into())
 }
 
 /// The residuals of a fit relative to the differences between neighbours. A smooth change with the direction does not count: a
