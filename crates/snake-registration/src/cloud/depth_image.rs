@@ -82,6 +82,19 @@ impl DepthImage {
         }
     }
 
+    /// Whether a patch lies in front of the surfaces in the pixels about it, by more than it varies within a pixel.
+    pub(crate) fn is_ahead(&self, point: &Vector, normal: &Vector) -> bool {
+        let (row, azimuth, depth) = self.direction(point);
+        let cosine = normal.dot(&(point - self.viewpoint)) / depth;
+        let varies = self.slant * self.pixel * depth * (cosine.powi(-2) - 1.0).sqrt().max(1.0);
+        let mut firsts = (row - 1..=row + 1).flat_map(|row| {
+            let column = self.column(row, azimuth);
+            (column - 1..=column + 1).filter_map(move |column| self.depths.get(&[row, column]))
+        });
+        let is_ahead = |first: &f64| depth < first - self.margin - varies;
+        firsts.next().is_some_and(is_ahead) && firsts.all(is_ahead)
+    }
+
     /// The share of the points, 0 to 1, that lie on the first surface.
     pub(crate) fn visible_share(&self, points: &[Vector]) -> f64 {
         let visible = points.iter().filter(|point| self.sight(point) == Sight::Surface).count();

@@ -189,6 +189,11 @@ impl FineCloud {
         some_in_parallel((0..points.len()).step_by(step), place)
     }
 
+    /// The distance from a point to the cloud.
+    pub(crate) fn distance(&self, point: &Vector) -> f64 {
+        self.cloud.nearest(point, NonZeroUsize::MIN).first().map_or(f64::INFINITY, |(_, distance)| *distance)
+    }
+
     /// Whether a place lies on the nearest surface; `None` if no surface is near, and if the place may lie in a gap between
     /// samples.
     pub(crate) fn lies_on(&self, place: &Place, inlier_distance: f64) -> Option<bool> {
@@ -266,6 +271,13 @@ impl Overlap {
     /// Whether enough of the overlap is planar to show what it leaves open.
     pub(crate) fn is_planar(&self) -> bool {
         self.planar >= MIN_PLANAR
+    }
+
+    /// The median distance of the patches; 0 without any.
+    pub(crate) fn residual(&self) -> f64 {
+        let mut distances: Vec<f64> = self.patches.iter().map(|patch| patch.distance.abs()).collect();
+        let middle = distances.len() / 2;
+        if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(middle, f64::total_cmp).1 }
     }
 
     /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].

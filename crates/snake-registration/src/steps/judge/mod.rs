@@ -11,6 +11,7 @@ mod rival;
 mod rivals;
 mod scale;
 mod shifts;
+mod sight;
 mod slide;
 mod standing;
 mod together;
@@ -33,6 +34,7 @@ use rival::Rival;
 use rivals::rivals;
 pub(crate) use scale::best_scale;
 use scale::better_scale;
+use sight::seen_through;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
@@ -175,6 +177,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
+        seen_through: seen_through(pair, transform, &overlap)?,
         apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
