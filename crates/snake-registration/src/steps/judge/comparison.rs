@@ -20,8 +20,8 @@ const SHIFT_STEPS: i32 = 6;
 /// A shift is dropped if its score is below this: places that lie on the target there, less those
 /// that contradict it. Unit: share of the places. Set for time.
 const MIN_SHIFT_SCORE: f64 = 0.3;
-/// A rival that misses more places, and explains fewer in all, is not refined. Unit: share of the
-/// places that the winner explains. Set for time.
+/// A rival that misses more places, or contradicts half as many of the telling ones, and explains fewer in all, is not
+/// refined. Unit: share of the places that the winner explains. Set for time.
 const HOPELESS: f64 = 0.5;
 
 /// The pair and what the comparison of two transforms needs.
@@ -51,7 +51,9 @@ impl<'a, 'b> Comparison<'a, 'b> {
     /// The rival near a transform from a rotation, a reflection or a motion; `None` if it contradicts too much.
     pub(super) fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
-        let is_hopeless = counts.measure(Measure::OfAll) > HOPELESS && counts.measure(Measure::Lead) > 0.0;
+        let contradicts = !self.fitting.is_standing && counts.measure(Measure::OfTelling) > HOPELESS / 2.0;
+        let misses = contradicts || counts.measure(Measure::OfAll) > HOPELESS;
+        let is_hopeless = misses && counts.measure(Measure::Lead) > 0.0;
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }
     }
 

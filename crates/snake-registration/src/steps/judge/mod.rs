@@ -168,7 +168,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
             rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
         }
     };
-    let evidence = Evidence {
+    let mut evidence = Evidence {
         fit,
         matches: counts,
         violation: Surface::fine_violation(surfaces, transform),
@@ -177,11 +177,14 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
         coinciding: overlap.coinciding(fine, pair.clouds()[0].voxels.voxel_size),
-        seen_through: seen_through(pair, transform, &overlap)?,
+        seen_through: 0.0,
         apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
     };
+    if evidence.confidence() >= RELIABLE {
+        evidence.seen_through = seen_through(pair, transform, &overlap)?;
+    }
     let confidence = evidence.confidence();
     Ok(Verdict {
         confidence,

@@ -7,8 +7,8 @@ use super::shifts::Shift;
 use snake_geometry::Vector;
 
 /// Largest contradiction of an equal rival. Unit: share of the places that the winner explains and that tell the two
-/// apart. Rivals in stairs, ramps and stairwells have up to 0.05, those of correct answers in real rooms 0.09 and more.
-const MAX_CONTRADICTED: f64 = 0.08;
+/// apart. Rivals in stairs, ramps and stairwells have up to 0.05, those of correct answers in real rooms 0.075 and more.
+const MAX_CONTRADICTED: f64 = 0.055;
 /// The same limit for sensors at one place, where one pattern of rays coincides point by point.
 /// Traffic has up to 0.25, rooms at rest 0.33 and more.
 const STANDING_CONTRADICTED: f64 = 0.28;

@@ -15,9 +15,9 @@ const ON: f64 = 1.0 / 3.0;
 /// this. Unit: median distances of the patches.
 const RESIDUALS: f64 = 50.0;
 /// Number of places of each cloud, at most. Set for time.
-const PLACES: usize = 4000;
+const PLACES: usize = 2000;
 /// Fewer places count as this many, because one of a few may be a stray.
-const MIN_PLACES: usize = 300;
+const MIN_PLACES: usize = 200;
 
 /// The share of the places on the other cloud or seen through by its sensor that are seen through. Places that face the
 /// overlap's most frequent direction do not count: a floor lies on itself after any slide and turn along it.
