@@ -364,3 +364,28 @@ fn sensors_are_found_in_the_coordinates_of_a_site_and_nothing_wrong_is_reliable(
         assert_eq!(run(&source, &merged).unwrap().clouds[1].position, None);
     }
 }
+
+/// What a sensor 1.6 m above flat ground sees of a block of 8 x 6 x 4 m, with a porch and boxes about it.
+fn block(x: f64, y: f64, seed: u64) -> Vec<Point> {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut boxes = vec![
+        [[-60.0, -60.0, -1.0], [60.0, 60.0, 0.0]],
+        [[0.0; 3], [8.0, 6.0, 4.0]],
+        [[1.0, 6.0, 0.0], [2.2, 6.8, 2.0]],
+    ];
+    for _ in 0..12 {
+        let (x, y) = (rng.random_range(-8.0..16.0), rng.random_range(-9.0..15.0));
+        let [width, depth, height] = std::array::from_fn(|_| rng.random_range(0.4..1.5));
+        boxes.push([[x, y, 0.0], [x + width, y + depth, height]]);
+    }
+    Scene { boxes, ..Default::default() }.seen([x, y, 1.6], &lidar(-1.0, 1.0), 25.0, 0.003, seed)
+}
+
+#[test]
+fn a_block_seen_from_opposite_corners_is_not_turned_by_half() {
+    let front = block(-5.0, -6.0, 1);
+    let opposite = run(&block(13.5, 12.0, 2), &front).unwrap();
+    assert!(!opposite.verdict.is_reliable, "{opposite:?}");
+    let same = run(&block(-3.0, -8.0, 3), &front).unwrap();
+    assert!(same.verdict.is_reliable, "{same:?}");
+}

@@ -136,4 +136,15 @@ mod tests {
         assert_eq!([coarse.sight(&edge), fine.sight(&edge)], [Sight::Free, Sight::Hidden]);
         assert!(walls().iter().all(|point| fine.sight(point) != Sight::Free));
     }
+
+    #[test]
+    fn a_patch_is_ahead_of_all_that_its_pixels_see_and_not_along_the_line_of_sight() {
+        let image = DepthImage::new(&walls(), Vector::zeros(), 0.1, SHARP);
+        let is_ahead = |x: f64, y: f64, normal: Vector| image.is_ahead(&Vector::new(x, y, 0.02), &normal);
+        assert!(is_ahead(4.0, 1.0, Vector::x()) && is_ahead(2.0, -0.7, Vector::x()));
+        assert!(!is_ahead(4.95, 1.0, Vector::x()) && !is_ahead(3.5, -0.03, Vector::x()));
+        assert!(!is_ahead(4.0, 1.0, Vector::new(1.0, -4.0, 0.0).normalize()));
+        // Nothing is seen there.
+        assert!(!is_ahead(-4.0, 1.0, Vector::x()));
+    }
 }

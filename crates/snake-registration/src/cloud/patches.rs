@@ -142,11 +142,6 @@ impl FineCloud {
         &self.cloud.points
     }
 
-    /// At most `count` of the fine voxels.
-    pub(crate) fn sample(&self, count: usize) -> Vec<Place> {
-        self.places_of(count, |_| Some(IsometryMatrix3::identity()))
-    }
-
     /// At most `count` of the fine voxels, no two in one cube of side `spacing`.
     pub(crate) fn thinned(&self, spacing: f64, count: usize) -> Vec<Place> {
         let points = &self.cloud.points;
@@ -167,23 +162,11 @@ impl FineCloud {
         max_distance: f64,
         count: usize,
     ) -> Vec<Place> {
-        self.places_of(count, |point| {
-            let (_, distance) = *other.cloud.nearest(&moved(transform, point), NonZeroUsize::MIN).first()?;
-            (distance < max_distance).then_some(*transform)
-        })
-    }
-
-    /// At most `count` of the fine voxels, each under its transform; voxels without one are left out.
-    fn places_of(
-        &self,
-        count: usize,
-        transform: impl Fn(&Vector) -> Option<IsometryMatrix3<f64>> + Sync,
-    ) -> Vec<Place> {
         let points = &self.cloud.points;
         let place = |index: usize| {
-            let transform = transform(&points[index])?;
             let normal = self.patch(index).map(|patch| patch.normal);
-            Some(Place { point: points[index], normal }.moved(&transform))
+            let place = Place { point: points[index], normal }.moved(transform);
+            (other.distance(&place.point) < max_distance).then_some(place)
         };
         let step = points.len().div_ceil(count).max(1);
         some_in_parallel((0..points.len()).step_by(step), place)

@@ -38,13 +38,9 @@ use sight::seen_through;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
-use standing::{contradicted_at_one_place, standing_note};
+use standing::are_at_one_place;
 use together::{Together, moved_together};
 
-/// Sensors at one place see the same. A larger share of what only one of them sees is doubtful.
-/// Unit: share of the places in view. Most wrong fences have 0.25 to 0.4; synthetic rooms that one
-/// sensor saw before and after half of the room moved have up to 0.16.
-const MAX_STANDING: f64 = 0.2;
 /// The next transform is a rival if the lead over it is smaller than this, where single matches
 /// were compared. Unit: share of the score. Set by hand on pairs of hotel_uc and redkitchen.
 const MIN_LEAD: f64 = 0.3;
@@ -93,7 +89,7 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 /// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
 /// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
 /// rivals follow the best in `hypotheses`. A part of the scene that moved as a whole does the same if the sensors would
-/// stand at one place. A mirror image that fits better, and scans at one place that differ, also make it not reliable.
+/// stand at one place. A mirror image that fits better also makes it not reliable.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -109,8 +105,8 @@ pub fn challenge(
         return Ok(());
     }
     let transform = registration.t_target_source.isometry();
-    let standing = contradicted_at_one_place(pair, transform)?;
-    let mut equal = rivals(pair, transform, standing.is_some())?;
+    let is_standing = are_at_one_place(pair, transform)?;
+    let mut equal = rivals(pair, transform, is_standing)?;
     if let Some(better) = equal.iter().filter(|rival| rival.is_better()).max_by_key(|rival| rival.counts.gain()) {
         let mut candidates = refine(pair, matches, &[better.transform.into()], icp_steps, 1, control)?;
         candidates.push(Candidate::measure(pair, matches, &(*transform).into()));
@@ -123,18 +119,16 @@ pub fn challenge(
         return Ok(());
     }
     let verdict = &mut registration.verdict;
-    if !(verdict.is_reliable || verdict.is_ambiguous) {
+    if !(verdict.is_reliable || verdict.is_ambiguous || is_standing) {
         return Ok(());
     }
-    let contradicted = standing.filter(|share| *share > MAX_STANDING);
-    let together = if standing.is_some() { moved_together(pair, transform)? } else { None };
+    let together = if is_standing { moved_together(pair, transform)? } else { None };
     equal.retain(Rival::is_equal);
-    if equal.is_empty() && contradicted.is_none() && together.is_none() {
+    if equal.is_empty() && together.is_none() {
         return Ok(());
     }
     verdict.confidence = (verdict.confidence / 2.0).min(MAX_DOUBTFUL);
     verdict.is_reliable = false;
-    verdict.notes.splice(0..0, contradicted.map(standing_note));
     verdict.notes.splice(0..0, together.as_ref().map(Together::note));
     verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
     // Finer voxels would not tell which part moved.
