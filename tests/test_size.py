@@ -13,7 +13,7 @@ MAX_LINES = {
     "crates/snake-geometry": 5556,
     "crates/snake-io": 10573,
     "crates/snake-kernels": 2976,
-    "crates/snake-registration": 10966,
+    "crates/snake-registration": 10958,
     "crates/snake-tiles": 1846,
     "crates/snake-view": 575,
     "docs": 441,

@@ -115,27 +115,6 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
     }
 }
 
-#[test]
-fn a_row_of_pillars_is_not_left_by_one_period() {
-    let rows = [(2.0, 0.2, 2.0), (1.2, 0.2, 2.0), (2.0, 0.19, 1.7), (1.65, 0.4, 1.6), (2.3, 0.16, 2.2)];
-    for &(period, half, side) in if is_full() { &rows[..] } else { &rows[..1] } {
-        let mut scene = corridor();
-        scene.rooms[0] = [[-200.0, -2.5, 0.0], [200.0, 2.5, 2.6]];
-        for x in -40..40 {
-            let x = period * f64::from(x);
-            scene.boxes.extend([-side, side].map(|y| [[x, y - half, 0.0], [x + 2.0 * half, y + half, 2.6]]));
-        }
-        // A camera may look along the row or across it.
-        for (name, rays, most) in
-            [("ahead", camera(0.0), 12.0), ("aside", camera(0.35), 12.0), ("LiDAR", lidar(-0.5, 0.5), 20.0)]
-        {
-            let seen = |x: f64, seed| scene.seen([x, 0.0, 1.4], &rays, most, 0.005, seed);
-            let verdict = run(&seen(0.7, 1), &seen(0.7 + period, 2)).unwrap().verdict;
-            assert!(!verdict.is_reliable && verdict.is_ambiguous, "{period} {half}, {name}: {verdict:?}");
-        }
-    }
-}
-
 /// A wall at y = 9 with windows before it, every `period` along x, from `start` on.
 fn facade(period: f64, start: f64) -> Scene {
     let ground = [[-40.0, -15.0, -0.2], [40.0, 15.0, 0.0]];
@@ -298,15 +277,6 @@ fn sparse_clouds_have_no_reliable_transform() {
     }
 }
 
-#[test]
-fn sweeps_are_refined_on_their_points() {
-    let ([source, target], truth) = sweeps(5.0, 1);
-    let registration = run(&source, &target).unwrap();
-    let (angle, metres) = registration.t_target_source.angle_and_distance_to(&truth);
-    let is_near = metres < 0.01 && angle.to_degrees() < 0.03;
-    assert!(registration.verdict.is_reliable && is_near, "{metres} m, {angle}: {registration:?}");
-}
-
 /// What a sensor on a motorway sees before it moved by `along`, with vehicles that keep pace with it, or
 /// after. Rails and ground are the same everywhere, posts stand still.
 fn motorway(along: f64, seed: u64) -> Vec<Point> {
@@ -384,8 +354,9 @@ fn block(x: f64, y: f64, seed: u64) -> Vec<Point> {
 #[test]
 fn a_block_seen_from_opposite_corners_is_not_turned_by_half() {
     let front = block(-5.0, -6.0, 1);
-    let opposite = run(&block(13.5, 12.0, 2), &front).unwrap();
-    assert!(!opposite.verdict.is_reliable, "{opposite:?}");
+    let opposite = run(&block(13.0, 12.0, 2), &front).unwrap().verdict;
+    let is_seen = opposite.notes.iter().any(|note| note.contains("saw through"));
+    assert!(is_seen && !opposite.is_reliable, "{opposite:?}");
     let same = run(&block(-3.0, -8.0, 3), &front).unwrap();
     assert!(same.verdict.is_reliable, "{same:?}");
 }

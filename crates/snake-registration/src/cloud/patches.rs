@@ -39,15 +39,10 @@ const AGREEING_NOISY_COSINE: f64 = 0.8;
 /// Maximum number of the source's fine voxels that are paired. Set for time (0.08 instead of 0.11 s of CPU for a pair
 /// of synthetic streets).
 const SAMPLES: usize = 2500;
-/// Largest side of a fine voxel whose points can show that two surfaces are apart. Unit: voxels. Set by hand.
-const MAX_SIDE: f64 = 0.2;
 /// Patches show what the overlap leaves open if they make up this share of it. Unit: share of the overlap. Corridors,
 /// tunnels and balls have 0.7 and more, wires and rough objects less.
 const MIN_PLANAR: f64 = 0.5;
-/// Two patches coincide if their distance is below this many times their joint thickness. Unit: standard deviations.
-/// Half and twice change no outcome.
-const COINCIDING: f64 = 2.0;
-/// Two patches are apart beyond this many. Unit: standard deviations. With 2, drift in real rooms looks like a slid slope.
+/// Two patches are apart beyond this many times their joint thickness. Unit: standard deviations. With 2, drift in real rooms looks like a slid slope.
 const APART: f64 = 4.0;
 /// Two patches must also be apart by this, because surfaces without noise have no thickness. Unit: greatest distances.
 const MIN_APART: f64 = 0.05;
@@ -204,8 +199,6 @@ pub(crate) struct Overlap {
     /// The pairs of these and of thicker patches, at the patches' means. Normals and distances are divided by the standard
     /// deviation across both patches, which is the noise of their points.
     pub(crate) weighed: Vec<PlanePair>,
-    /// The share of the patches that coincide within their thickness.
-    coinciding: f64,
     /// The share of the patches that are apart, given their thickness.
     apart: f64,
     /// The share of paired points whose patches in both clouds are thin and agree.
@@ -232,7 +225,7 @@ pub(crate) fn overlap(
         let thin = (patches.iter().all(|patch| patch.is_thin) && cosine.abs() > AGREEING_COSINE).then(|| {
             let distance = normal.dot(&(target.cloud.points[nearest] - point));
             let is_apart = distance.abs() > (APART * thickness).max(MIN_APART * max_distance);
-            (PlanePair { point, normal, distance }, [distance.abs() < COINCIDING * thickness, is_apart])
+            (PlanePair { point, normal, distance }, is_apart)
         });
         let (mean, noise) = (moved(transform, &patches[0].mean), thickness.max(MIN_NOISE * target.side));
         let distance = normal.dot(&(patches[1].mean - mean)) / noise;
@@ -244,10 +237,10 @@ pub(crate) fn overlap(
     let pairs = some_in_parallel(indices, |index| near(index).map(pair));
     let count = pairs.len().max(1) as f64;
     let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
-    let (patches, told): (Vec<PlanePair>, Vec<[bool; 2]>) = thin.into_iter().flatten().unzip();
+    let (patches, are_apart): (Vec<PlanePair>, Vec<bool>) = thin.into_iter().flatten().unzip();
     let weighed = weighed.into_iter().flatten().collect();
-    let share = |at: usize| told.iter().filter(|told| told[at]).count() as f64 / patches.len().max(1) as f64;
-    Overlap { coinciding: share(0), apart: share(1), planar: patches.len() as f64 / count, patches, weighed }
+    let apart = are_apart.iter().filter(|is_apart| **is_apart).count() as f64 / patches.len().max(1) as f64;
+    Overlap { apart, planar: patches.len() as f64 / count, patches, weighed }
 }
 
 impl Overlap {
@@ -266,12 +259,6 @@ impl Overlap {
     /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].
     pub(crate) fn apart(&self) -> f64 {
         if self.patches.len() < MIN_PAIRS { 0.0 } else { self.apart }
-    }
-
-    /// The share of the patches that coincide; `None` if there are few, or if the points are too coarse to show it.
-    pub(crate) fn coinciding(&self, clouds: [&FineCloud; 2], voxel_size: f64) -> Option<f64> {
-        let is_fine = |cloud: &&FineCloud| cloud.is_finer && cloud.side < MAX_SIDE * voxel_size;
-        (self.patches.len() >= MIN_PAIRS && clouds.iter().all(is_fine)).then_some(self.coinciding)
     }
 }
 

@@ -15,9 +15,6 @@ const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 /// Matches with a smaller spread lie on one plane or line and do not fix a transform, however many agree. Unit: inlier
 /// distances. Half and twice change no outcome.
 const MIN_MATCH_SPREAD: f64 = 0.25;
-/// Smallest share of patches that coincide under a correct transform. Correct transforms of sweeps
-/// have 0.85 and more, wrong ones 0.75 and less.
-const MIN_COINCIDING: f64 = 0.8;
 /// Largest share of patches within the inlier distance that lie apart relative to their thickness. Slopes of which one half
 /// slid have 0.26 to 0.8; those below 0.35 show other signs. Correct ones have 0.0 to 0.13, in fused rooms up to 0.33.
 const MAX_APART: f64 = 0.35;
@@ -57,9 +54,6 @@ pub(super) struct Evidence<'a> {
     pub(super) open_motions: String,
     /// See [`Verdict::weakest_constraint`](crate::Verdict::weakest_constraint).
     pub(super) weakest_constraint: f64,
-    /// Share of the patches of both clouds that coincide, where the points are fine enough to show
-    /// it.
-    pub(super) coinciding: Option<f64>,
     /// Share of the patches that lie apart relative to their thickness.
     pub(super) apart: f64,
     /// Share of the telling places that the other sensor saw through.
@@ -103,7 +97,7 @@ impl Evidence<'_> {
     }
 
     fn lies_apart(&self) -> bool {
-        self.apart > MAX_APART || self.coinciding.is_some_and(|share| share < MIN_COINCIDING)
+        self.apart > MAX_APART
     }
 
     fn is_seen_through(&self) -> bool {
@@ -233,7 +227,6 @@ mod tests {
             num_open: 0,
             open_motions: String::new(),
             weakest_constraint: 0.03,
-            coinciding: None,
             apart: 0.0,
             seen_through: 0.0,
             has_rival: false,
@@ -249,13 +242,12 @@ mod tests {
         let (usual, _) = changed(|_, _, _| ());
         assert!(usual > 0.9, "{usual}");
         type Change = fn(&mut Fit, &mut Matches, &mut Evidence);
-        let worse: [(&str, Change); 10] = [
+        let worse: [(&str, Change); 9] = [
             ("seen through", |_, m, e| (m.num_agreeing, e.seen_through) = (9999, 0.02)),
             ("few matches", |_, m, e| {
                 (m.num_agreeing, m.spread, e.slide_margin) = (9, 0.9, 9.0);
             }),
             ("weak constraint", |_, m, e| (m.num_agreeing, e.weakest_constraint) = (9999, 8e-5)),
-            ("apart", |_, m, e| (m.num_agreeing, e.coinciding) = (9999, Some(0.7))),
             ("a part apart", |_, m, e| (m.num_agreeing, e.apart) = (9999, 0.4)),
             ("rival matches", |_, m, e| (m.num_agreeing, m.num_rival_agreeing, e.slide_margin) = (20, 40, 0.0)),
             ("free space", |_, _, e| e.violation = 0.2),
@@ -288,7 +280,7 @@ mod tests {
         assert!(note(|_, _, e| e.has_rival = true).contains("another transform"));
         assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
         assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
-        assert!(note(|_, _, e| e.coinciding = Some(0.7)).contains("lie apart"));
+        assert!(note(|_, _, e| e.apart = 0.4).contains("lie apart"));
         assert!(note(|_, _, e| e.seen_through = 0.2).contains("saw through 20.0 %"));
         assert!(note(|_, _, e| e.violation = 0.2).contains("above all because 20.0 % of the voxels"));
         assert!(note(|_, m, e| (m.num_agreeing, e.slide_margin) = (10, 0.0)).contains("because"));

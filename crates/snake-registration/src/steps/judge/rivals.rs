@@ -34,8 +34,6 @@ const MIN_UNSIGNED_MOTION: f64 = 12.0;
 /// with sensors at one place. Unit: shares of the winner's fit. Stairs have 0.9, an aeroplane of 4096 points after a
 /// half turn 0.69 to 0.77, ramps 0.55 and more; traffic that keeps pace has 0.44 to 0.54.
 const RIVAL_FIT_SHARES: [f64; 3] = [0.75, 0.55, 0.43];
-/// Transforms closer than this count as one. Unit: inlier distances. Set for time.
-const SAME: f64 = 0.25;
 
 /// The rivals of the winner under which the clouds fit: rotations, self-similar motions, slides,
 /// shifts and reflections, each compared with the winner.
@@ -59,7 +57,7 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let by_slide = slides(&patches, &frame, distance).into_iter().map(slide);
     let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).chain(by_slide).collect();
     let fitted = try_in_parallel(guesses.iter(), |&(motion, guess)| fitting.fitted(motion, guess))?;
-    let fitted = fitting.distinct(fitted.into_iter().flatten());
+    let fitted: Vec<_> = fitted.into_iter().flatten().collect();
     if fitted.is_empty() && by_shift.is_empty() {
         return Ok(Vec::new());
     }
@@ -117,21 +115,6 @@ impl<'a, 'b> Fitting<'a, 'b> {
             }
         }
         Ok(guesses)
-    }
-
-    /// The first of the transforms that are about the same: many guesses end at one.
-    fn distinct(
-        &self,
-        all: impl Iterator<Item = (Motion, IsometryMatrix3<f64>)>,
-    ) -> Vec<(Motion, IsometryMatrix3<f64>)> {
-        let least = SAME * self.pair.criteria().inlier_distance;
-        let mut kept: Vec<(Motion, IsometryMatrix3<f64>)> = Vec::new();
-        for one in all {
-            if kept.iter().all(|(_, other)| displacement(&one.1, other, &self.coarse) > least) {
-                kept.push(one);
-            }
-        }
-        kept
     }
 
     /// Whether the sensors are at one place and the rotation between two answers is small.

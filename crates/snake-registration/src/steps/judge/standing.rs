@@ -29,36 +29,3 @@ pub(super) fn are_at_one_place(pair: &Pair, transform: &IsometryMatrix3<f64>) ->
     };
     Ok(pair.fine()?.into_iter().zip([source, target]).all(is_one_view))
 }
-
-#[cfg(test)]
-mod tests {
-    use snake_core::{Control, Point};
-
-    use super::*;
-    use crate::options::RegisterOptions;
-    use crate::steps::prepare;
-
-    /// What a sensor in the middle of a room of 6 x 4 x 3 m sees, `columns` rays around.
-    fn room(columns: u32) -> Vec<Point> {
-        let rays = (0..60 * columns).map(|ray| {
-            let azimuth = (ray % columns) as f32 / columns as f32 * std::f32::consts::TAU;
-            let elevation = (ray / columns) as f32 * 0.04 - 1.2;
-            let [x, y, z] = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
-            let range = (3.0 / x.abs()).min(2.0 / y.abs()).min(1.5 / z.abs());
-            [x, y, z].map(|v| v * range)
-        });
-        rays.collect()
-    }
-
-    #[test]
-    fn scans_from_one_place_stand_there_and_after_a_step_do_not() {
-        let clouds = [room(120), room(130)];
-        let options = RegisterOptions::default();
-        let prepared =
-            prepare(&clouds.each_ref().map(|cloud| &cloud[..]), &[None, None], None, &options, &Control::default());
-        let prepared = prepared.unwrap();
-        let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
-        let are = |x| are_at_one_place(&pair, &IsometryMatrix3::translation(x, 0.0, 0.0)).unwrap();
-        assert!(are(0.0) && !are(1.0));
-    }
-}
