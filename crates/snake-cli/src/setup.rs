@@ -27,8 +27,7 @@ pub struct ComputeArguments {
     pub model: Option<PathBuf>,
     /// Number of threads, at most 256 or the number of processors [default: one for each processor]. The result does
     /// not depend on it.
-    #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", hide_env_values = true,
-        value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "NUMBER", env = "SNAKE_THREADS", hide_env_values = true)]
     pub threads: Option<u16>,
 }
 
@@ -40,7 +39,7 @@ impl ComputeArguments {
         }
         if let Some(threads) = self.threads {
             let most = max_num_threads();
-            if usize::from(threads) > most {
+            if !(1..=most).contains(&usize::from(threads)) {
                 bail!("--threads is {threads}: allowed is 1 to {most}");
             }
             rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;

@@ -18,8 +18,8 @@ const MIN_MATCH_SPREAD: f64 = 0.25;
 /// Largest share of patches within the inlier distance that lie apart relative to their thickness. Slopes of which one half
 /// slid have 0.26 to 0.8; those below 0.35 show other signs. Correct ones have 0.0 to 0.13, in fused rooms up to 0.33.
 const MAX_APART: f64 = 0.35;
-/// Largest share of the telling places that the other sensor saw through. Wrong half turns of cars, houses and blocks have 0.016 to 0.15,
-/// right answers, drifting rooms among them, up to 0.003.
+/// Largest share of the telling places that the other sensor saw through. Wrong half turns of cars, houses and blocks
+/// have 0.016 to 0.15, right answers, drifting rooms among them, up to 0.003.
 const MAX_SEEN_THROUGH: f64 = 0.01;
 /// Bias of the logistic regression. Unit: log-odds. It is 3.2 below the fitted bias, so that a
 /// confidence of 0.5 is a probability of about 0.95.

@@ -11,8 +11,8 @@ use snake_geometry::some_in_parallel;
 
 /// A place is on a cloud up to this distance. Unit: inlier distances.
 const ON: f64 = 1.0 / 3.0;
-/// It is off the cloud beyond this many. With 25, of which drift in real rooms leaves a share of 0.01, and 0.0007 with
-/// this. Unit: median distances of the patches.
+/// It is off the cloud beyond this many. Drift in real rooms leaves a share of 0.01 with 25, and of 0.0007 with this.
+/// Unit: median distances of the patches.
 const RESIDUALS: f64 = 50.0;
 /// Number of places of each cloud, at most. Set for time.
 const PLACES: usize = 2000;
