@@ -36,7 +36,7 @@ pub use clouds::{
     subtract_origin, unit,
 };
 pub use error::{Error, Result};
-pub use near::{KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, least_spread, vector};
+pub use near::{CellGroups, KdTree, Neighbors, PointTree, RadiusCells, Vector, eigen, floor, least_spread, vector};
 pub use options::{OptionGroup, OptionInfo, OptionKind};
 #[doc(hidden)]
 pub use options::{Ranged, check_range};

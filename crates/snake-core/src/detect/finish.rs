@@ -25,7 +25,7 @@ pub(super) fn finish(
     };
     let moves_to_planes = field.lattice().is_scene() || options.prefer == Preference::Corners;
     let moves_to_surface = radii.mode.is_some() && !moves_to_planes;
-    let surroundings = radii.mode.map(|_| Surroundings::of(field, options.prefer));
+    let surroundings = radii.mode.map(|_| Surroundings::of(field, options.prefer)).transpose()?;
     let patches = surroundings.as_ref().map(Surroundings::patches).transpose()?;
     let (Modes { positions, scores }, surface_ranks) = match &patches {
         Some(patches) if !moves_to_planes => on_surface(field, patches, modes, radii.nms)?,

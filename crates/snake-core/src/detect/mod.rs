@@ -79,9 +79,7 @@ fn candidates(field: &Field, queries: &Queries, options: &DetectOptions, control
     let start = Instant::now();
     let occupied = above_occupancy(field, queries, options.occupancy_threshold, control)?;
     let occupancy_seconds = start.elapsed().as_secs_f64();
-    let mut refined = refine(field, &occupied, options, control)?;
-    control.check()?;
-    field.lattice().adjust(&mut refined)?;
+    let refined = refine(field, &occupied, options, control)?;
     let mut candidates = above_saliency(field, &refined, options.saliency_threshold);
     candidates.timing.occupancy = occupancy_seconds;
     candidates.timing.refine = start.elapsed().as_secs_f64() - occupancy_seconds;

@@ -16,7 +16,7 @@ pub(crate) const SHIFT: f32 = 3.1;
 
 /// Number of candidates that are moved per keypoint, because several of them end at the same mode. For fewer
 /// than 64 keypoints, as many are moved as for 64, because the most salient candidates lie close together.
-const STARTS: usize = 48;
+const STARTS: usize = 32;
 
 /// Candidates after they moved to modes, ordered by falling saliency at their starts.
 pub(crate) struct Modes {

@@ -6,7 +6,7 @@ use super::localize::{Patches, shows_surface};
 use super::modes::{Modes, weighted_mean};
 use crate::Result;
 use crate::field::Field;
-use snake_geometry::{Point, RadiusCells, in_parallel};
+use snake_geometry::{Point, RadiusCells, by_falling_score, in_parallel};
 
 /// A mode moves to the most salient point within this many voxels. In an object of radius 1, a voxel is about 0.07 wide.
 const SEARCH: f32 = 2.0;
@@ -23,7 +23,7 @@ const ON: f32 = 0.5;
 /// Moved modes can coincide, which leaves gaps in a list of keypoints that are `apart` from each other.
 /// Modes that already lie on the surface fill the gaps: they are appended unmoved and rank after all others.
 pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: f32) -> Result<(Modes, Vec<f32>)> {
-    if modes.positions.is_empty() || !shows_surface(patches, field.voxel_size())? {
+    if modes.positions.is_empty() || !shows_surface(patches) {
         let ranks = modes.scores.clone();
         return Ok((modes, ranks));
     }
@@ -31,16 +31,11 @@ pub(super) fn on_surface(field: &Field, patches: &Patches, modes: Modes, apart: 
     let points = patches.points();
     let saliency = field.saliency(points)?;
     let weights: Vec<f32> = saliency.iter().map(|saliency| saliency.powi(POWER)).collect();
-    let cells = RadiusCells::new(points, search)?;
+    let cells = RadiusCells::new(points, mean)?;
+    let by_saliency = by_falling_score(&saliency);
     let most_salient = |mode: &Point| {
-        let mut best: Option<usize> = None;
-        cells.within(mode, search, |index| {
-            let is_better = |other: usize| (saliency[index], other) > (saliency[other], index);
-            if best.is_none_or(is_better) {
-                best = Some(index);
-            }
-        });
-        best
+        let squared = |point: &Point| (0..3).map(|axis| (point[axis] - mode[axis]).powi(2)).sum::<f32>();
+        by_saliency.iter().copied().find(|&index| squared(&points[index]) <= search * search)
     };
     let bests = in_parallel(modes.positions.iter(), most_salient);
     let starts: BTreeSet<usize> = bests.iter().copied().flatten().collect();
@@ -74,7 +69,7 @@ mod tests {
 
     fn placed(field: &Field, positions: &[Point], apart: f32) -> Vec<Point> {
         let modes = Modes { positions: positions.to_vec(), scores: vec![0.5; positions.len()] };
-        on_surface(field, &Surroundings::of(field, Preference::Salient).patches().unwrap(), modes, apart)
+        on_surface(field, &Surroundings::of(field, Preference::Salient).unwrap().patches().unwrap(), modes, apart)
             .unwrap()
             .0
             .positions

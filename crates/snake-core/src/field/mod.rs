@@ -60,7 +60,7 @@ impl Field {
         if drawn.is_some() {
             // Queries start at all points, including those that were not drawn.
             let in_network = points.iter().map(|&point| normalization.to_network(point));
-            copies[0].volume.lattice.set_cells(in_network);
+            copies[0].volume.lattice.set_cells(in_network)?;
         }
         Ok(Self {
             copies,

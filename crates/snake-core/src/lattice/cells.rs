@@ -1,6 +1,7 @@
 //! The starting queries of a scene: one per cell with points. A grid over the box would be almost empty.
 
 use super::voxel_groups::VoxelGroups;
+use crate::Result;
 use snake_geometry::Point;
 
 /// Steps per voxel of a query's rounding in its cell. A scene that moves by whole voxels keeps its queries.
@@ -14,10 +15,13 @@ pub(crate) struct Cells {
 
 impl Cells {
     /// The cells of points.
-    pub(crate) fn from_points(points: &[Point]) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for more points than [`u32::MAX`].
+    pub(crate) fn from_points(points: &[Point]) -> Result<Self> {
         let mut groups = VoxelGroups::default();
-        let cells = groups.fill_sparse(points);
-        Self::from_groups(points, &groups, &cells)
+        let cells = groups.fill_sparse(points)?;
+        Ok(Self::from_groups(points, &groups, &cells))
     }
 
     /// The cells of points that are grouped already; `cells` are their lowest nodes.

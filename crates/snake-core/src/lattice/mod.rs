@@ -14,7 +14,6 @@ mod cube;
 mod levels;
 mod queries;
 mod query_grid;
-mod rims;
 mod shape;
 mod voxel_groups;
 mod voxel_size;
@@ -140,18 +139,10 @@ impl Lattice {
     }
 
     /// Replaces the cells of a scene by the cells of these points, which are in the network's frame.
-    pub(crate) fn set_cells(&mut self, points: impl Iterator<Item = Point>) {
-        match self {
-            Self::Cube(_) => (),
-            Self::Blocks(_, cells) => *cells = Cells::from_points(&points.collect::<Vec<_>>()),
+    pub(crate) fn set_cells(&mut self, points: impl Iterator<Item = Point>) -> Result<()> {
+        if let Self::Blocks(_, cells) = self {
+            *cells = Cells::from_points(&points.collect::<Vec<_>>())?;
         }
-    }
-
-    /// Lowers the scores of a scene's refined queries near the rims of the seen surface; a cube stays as it is.
-    pub(crate) fn adjust(&self, refined: &mut [Refined]) -> Result<()> {
-        match self {
-            Self::Cube(_) => Ok(()),
-            Self::Blocks(_, cells) => rims::lower_rims(refined, cells.means()),
-        }
+        Ok(())
     }
 }

@@ -6,7 +6,10 @@ use rayon::prelude::*;
 
 use super::cube::VolumeFrame;
 use crate::Result;
-use snake_geometry::Point;
+use snake_geometry::{CellGroups, Point, floor};
+
+/// Parts of a cell along each axis.
+const PARTS: usize = 3;
 
 /// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
 #[derive(Debug, Clone, Default)]
@@ -51,35 +54,29 @@ impl VoxelGroups {
         }
     }
 
-    /// Groups points by the cell of a lattice of unit spacing that contains them, and replaces the previous groups. Each cell
-    /// has 32³ parts; only the first point of a part is kept, so a cloud in which every point occurs twice is encoded like the
-    /// cloud itself. Coordinates must be within ±2^20. Returns the lowest node of each occupied cell, ordered by z, then y,
-    /// then x.
-    pub(crate) fn fill_sparse(&mut self, points: &[Point]) -> Vec<[i32; 3]> {
-        const MIDDLE: i32 = 1 << 20;
-        let key = |point: &Point| {
-            let [x, y, z] = point.map(|v| (v.floor() as i32 + MIDDLE) as u64);
-            (z << 42) | (y << 21) | x
-        };
-        let mut order: Vec<(u64, u32)> = points.iter().map(key).zip(0..).collect();
-        order.par_sort_unstable();
+    /// Groups points by the cell of a lattice of unit spacing that contains them, and replaces the previous groups. Each cell has
+    /// 3³ parts, and only the first point of a part is kept: more points of a surface say nothing new, and a cloud in which every
+    /// point occurs twice is encoded like the cloud itself. Coordinates must be within ±2^20. Returns the lowest node of each
+    /// occupied cell, ordered by z, then y, then x.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for more points than [`u32::MAX`].
+    pub(crate) fn fill_sparse(&mut self, points: &[Point]) -> Result<Vec<[i32; 3]>> {
+        let grouped = CellGroups::new(points.iter().map(|point| point.map(|v| floor(f64::from(v)))))?;
+        let mut cells: Vec<_> = grouped.iter().collect();
+        cells.sort_unstable_by_key(|&([x, y, z], _)| [z, y, x]);
         self.voxel_of_point.clear();
-        self.voxels.clear();
+        self.voxels = (0..cells.len() as u32).collect();
         self.starts.clear();
         self.members.clear();
-        let mut cells = Vec::new();
-        let mut parts = CellParts::default();
-        for members in order.chunk_by(|a, b| a.0 == b.0) {
-            let key = members[0].0;
-            self.voxels.push(self.voxels.len() as u32);
+        for (_, members) in &cells {
             self.starts.push(self.members.len() as u32);
-            cells.push([key, key >> 21, key >> 42].map(|bits| (bits & ((1 << 21) - 1)) as i32 - MIDDLE));
-            let indices = members.iter().map(|&(_, index)| index);
-            self.members.extend(indices.filter(|&index| parts.take(&points[index as usize])));
-            parts.clear();
+            let mut is_taken = [false; PARTS.pow(3)];
+            let is_new = |index: &u32| !std::mem::replace(&mut is_taken[part_of(points[*index as usize])], true);
+            self.members.extend(members.iter().copied().filter(is_new));
         }
         self.starts.push(self.members.len() as u32);
-        cells
+        Ok(cells.into_iter().map(|(cell, _)| cell.map(|i| i as i32)).collect())
     }
 
     /// The number of occupied voxels.
@@ -142,58 +139,37 @@ impl VoxelGroups {
     }
 }
 
-/// The parts of a cell, 32 along each axis, that contain a point.
-#[derive(Debug)]
-struct CellParts {
-    is_taken: Vec<bool>,
-    taken: Vec<usize>,
-}
-
-impl Default for CellParts {
-    fn default() -> Self {
-        Self { is_taken: vec![false; Self::SIDE.pow(3)], taken: Vec::new() }
-    }
-}
-
-impl CellParts {
-    const SIDE: usize = 32;
-
-    /// Takes the part of a point. Returns whether it was free.
-    fn take(&mut self, point: &Point) -> bool {
-        let [x, y, z] = point.map(|v| ((v - v.floor()) * Self::SIDE as f32) as usize).map(|i| i.min(Self::SIDE - 1));
-        let part = (z * Self::SIDE + y) * Self::SIDE + x;
-        let is_free = !std::mem::replace(&mut self.is_taken[part], true);
-        if is_free {
-            self.taken.push(part);
-        }
-        is_free
-    }
-
-    /// Frees all parts, for the next cell.
-    fn clear(&mut self) {
-        self.taken.drain(..).for_each(|part| self.is_taken[part] = false);
-    }
+/// The part of its cell that contains a point.
+fn part_of(point: Point) -> usize {
+    let [x, y, z] = point.map(|v| ((v - v.floor()) * PARTS as f32) as usize).map(|i| i.min(PARTS - 1));
+    (z * PARTS + y) * PARTS + x
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use super::*;
 
     #[test]
-    fn points_that_lie_almost_at_one_place_count_once() {
-        let at = |i: usize, step: f32| (i as f32 * step).fract() * 20.0 - 10.0;
+    fn the_first_point_of_each_part_of_a_cell_counts() {
+        let at = |i: usize, step: f32| (i as f32 * step).fract() * 4.0 - 2.0;
         let points: Vec<Point> =
             (0..4000).map(|i| [at(i, 0.618_034), at(i, 0.754_877_7), at(i, 0.569_840_3)]).collect();
+        let part = |point: &Point| point.map(|v| (v * PARTS as f32).floor() as i32);
+        let mut parts = HashSet::new();
+        let firsts: Vec<usize> = (0..points.len()).filter(|&index| parts.insert(part(&points[index]))).collect();
         let mut groups = VoxelGroups::default();
-        let cells = groups.fill_sparse(&points);
-        let once: Vec<usize> = groups.members(0..cells.len()).collect();
-        assert!((3990..=4000).contains(&once.len()), "{}", once.len());
-        assert_eq!(groups.fill_sparse(&points.repeat(3)), cells);
-        assert_eq!(groups.members(0..cells.len()).collect::<Vec<_>>(), once);
-        let moved = points.iter().map(|point| point.map(|v| v + 2e-4));
-        let twice: Vec<Point> = points.iter().copied().chain(moved).collect();
-        // In a few pairs, the two points lie on different sides of a part's border.
-        let number = groups.fill_sparse(&twice).len();
-        assert!((4000..4200).contains(&groups.num_points(0..number)), "{}", groups.num_points(0..number));
+        let cells = groups.fill_sparse(&points).unwrap();
+        assert_eq!((cells.len(), cells.is_sorted_by_key(|[x, y, z]| [*z, *y, *x])), (64, true));
+        for (voxel, cell) in cells.iter().enumerate() {
+            let is_in_cell = |index: &usize| points[*index].map(|v| v.floor() as i32) == *cell;
+            let expected: Vec<usize> = firsts.iter().copied().filter(is_in_cell).collect();
+            assert_eq!(groups.members(voxel..voxel + 1).collect::<Vec<_>>(), expected, "{cell:?}");
+        }
+        // A cloud in which every point occurs three times is encoded like the cloud itself.
+        let once: Vec<usize> = groups.members(0..64).collect();
+        assert_eq!(groups.fill_sparse(&points.repeat(3)).unwrap(), cells);
+        assert_eq!(groups.members(0..64).collect::<Vec<_>>(), once);
     }
 }

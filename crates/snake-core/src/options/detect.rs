@@ -156,8 +156,8 @@ const COVERED: usize = 11;
 /// The resolution of a cloud, or `least` if it is finer. Dense points take a quarter of the time.
 pub(super) fn resolution_from(least: f64, points: &[Point]) -> Result<f64> {
     let side = least / 1.2;
-    let cells = one_a_cell(points, side, 0.0);
-    let is_covered = cells.len() > COVERED * one_a_cell(&cells, 4.0 * side, 0.0).len();
+    let cells = one_a_cell(points, side, 0.0)?;
+    let is_covered = cells.len() > COVERED * one_a_cell(&cells, 4.0 * side, 0.0)?.len();
     if is_covered { Ok(least) } else { Ok(resolution("points", points)?.max(least)) }
 }
 

@@ -1,7 +1,6 @@
 //! Lengths in cloud units, in multiples of a cloud's resolution, in per cent of its radius, or in voxels.
 
 use std::cmp::Ordering;
-use std::collections::HashSet;
 use std::fmt;
 use std::str::FromStr;
 
@@ -9,7 +8,7 @@ use rayon::prelude::*;
 use serde::de::{self, Deserialize, Deserializer, Visitor};
 use serde::{Serialize, Serializer};
 
-use crate::{Error, FinitePoints, Normalization, NormalizationMethod, Point, PointTree, Result};
+use crate::{CellGroups, Error, FinitePoints, Normalization, NormalizationMethod, Point, PointTree, Result, floor};
 
 /// A length in cloud units, in multiples of the cloud's resolution, in per cent of its radius, or in voxels. The resolution
 /// is the mean distance of the distinct points to their nearest other point. The radius is the largest distance of a point
@@ -105,7 +104,7 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
     }
     // The second time, cells are shifted by half: few pairs lie on both sides of borders in both grids.
     let side = MERGED * gap;
-    let merged = one_a_cell(&one_a_cell(&points, side, 0.0), side, 0.5);
+    let merged = one_a_cell(&one_a_cell(&points, side, 0.0)?, side, 0.5)?;
     let apart: Vec<f64> = match merged.len() {
         0 | 1 => Vec::new(),
         _ => distances(&merged)?.into_iter().filter(|gap| *gap > side).collect(),
@@ -115,12 +114,12 @@ pub fn resolution(what: &'static str, points: &[Point]) -> Result<f64> {
 }
 
 /// The first point in each cubic cell. The grid of cells is shifted by a share of their side.
-pub fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Vec<Point> {
-    let cell = |point: &Point| point.map(|v| (f64::from(v) / side + shift).floor() as i64);
-    let (mut taken, mut last) = (HashSet::new(), None);
-    // The points of a scan come in lines, so most lie in the same cell as the previous one.
-    let mut is_new = |cell| last.replace(cell) != Some(cell) && taken.insert(cell);
-    points.iter().filter(|point| is_new(cell(point))).copied().collect()
+///
+/// # Errors
+/// [`Error::Input`] for more points than [`u32::MAX`].
+pub fn one_a_cell(points: &[Point], side: f64, shift: f64) -> Result<Vec<Point>> {
+    let cell = |point: &Point| point.map(|v| floor(f64::from(v) / side + shift));
+    Ok(CellGroups::new(points.iter().map(cell))?.firsts().map(|first| points[first]).collect())
 }
 
 /// The distinct points, each with its distance to the nearest other point, which is infinite if there is none.

@@ -1,9 +1,7 @@
 //! Clouds downsampled to one point per voxel.
 
-use std::collections::HashMap;
-
 use snake_core::{Control, Counter, Result};
-use snake_geometry::{Neighbors, Point, Vector, vector};
+use snake_geometry::{CellGroups, Neighbors, Point, Vector, floor, vector};
 
 /// Downsamples finite points to the means of voxels, and indexes these for neighbour queries.
 pub(crate) fn downsample(points: &[Point], voxel_size: f64, control: &Control) -> Result<Neighbors> {
@@ -14,22 +12,15 @@ pub(crate) fn downsample(points: &[Point], voxel_size: f64, control: &Control) -
 /// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first
 /// points.
 pub(crate) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Result<Vec<Vector>> {
-    let mut cells: HashMap<[i64; 3], usize> = HashMap::new();
-    let mut sums: Vec<(Vector, usize)> = Vec::new();
-    for points in points.chunks(4096) {
-        counter.check()?;
-        for point in points.iter().copied().map(vector) {
-            let cell = [point.x, point.y, point.z].map(|v| (v / voxel_size).floor() as i64);
-            let index = *cells.entry(cell).or_insert(sums.len());
-            if index == sums.len() {
-                sums.push((Vector::zeros(), 0));
-            }
-            sums[index].0 += point;
-            sums[index].1 += 1;
-        }
-        counter.add(points.len());
-    }
-    Ok(sums.into_iter().map(|(sum, count)| sum / count as f64).collect())
+    counter.check()?;
+    let cell = |point: &Point| point.map(|v| floor(f64::from(v) / voxel_size));
+    let cells = CellGroups::new(points.iter().map(cell))?;
+    let mean = |members: &[u32]| {
+        let points = members.iter().map(|&index| vector(points[index as usize]));
+        points.sum::<Vector>() / members.len() as f64
+    };
+    counter.add(points.len());
+    Ok(cells.iter().map(|(_, members)| mean(members)).collect())
 }
 
 #[cfg(test)]

@@ -19,11 +19,11 @@ use std::collections::HashSet;
 use nalgebra::{Matrix3, SymmetricEigen};
 
 pub(crate) use self::patches::Patches;
-use self::patches::{Anchors, Sums, cell_of, first_of_cells};
+use self::patches::{Anchors, Sums};
 use crate::Result;
 use crate::field::Field;
 use crate::options::Preference;
-use snake_geometry::{Covariance, Point, Vector, in_parallel, resolution, some_in_parallel, vector};
+use snake_geometry::{Covariance, Point, Vector, in_parallel, some_in_parallel, vector};
 
 /// Radius of the neighbourhood in voxels, for scenes and objects. Voxels of a scene are about as wide as its point spacing.
 const RADIUS: [f32; 2] = [5.0, 2.2];
@@ -62,8 +62,8 @@ const EDGE: [f32; 2] = [0.3, 0.6];
 const WALL: f32 = 0.19;
 /// Number of points of an object that are used, at most.
 const MANY: usize = 8_192;
-/// Points are dense if the mean distance to the nearest point is at most this many voxels.
-const DENSE: f64 = 0.35;
+/// Points are dense if a cell of patches has more than this many on average: their resolution is then about 0.35 voxels.
+const DENSE: f32 = 1.25;
 /// Points show the surface if more than this share of their patches is certain.
 const SHOWN: f32 = 0.25;
 /// Number of patches that are checked, at most.
@@ -119,7 +119,10 @@ pub(crate) struct Surroundings<'a> {
 impl<'a> Surroundings<'a> {
     /// Takes all points of a scene, and every second, third or later point of an object that has too many. A point that is
     /// stored several times was measured once.
-    pub(crate) fn of(field: &'a Field, prefer: Preference) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for more points than [`u32::MAX`].
+    pub(crate) fn of(field: &'a Field, prefer: Preference) -> Result<Self> {
         let (points, normalization) = (field.points(), field.normalization());
         let is_scene = field.lattice().is_scene();
         let radius = field.voxel_size() * RADIUS[usize::from(!is_scene)];
@@ -129,15 +132,16 @@ impl<'a> Surroundings<'a> {
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
-        let mut anchors = first_of_cells(&points, side, place);
-        let repeated: HashSet<[i64; 3]> = anchors.repeated().map(|anchor| cell_of(place(anchor), side)).collect();
+        let (mut anchors, repeated) = Anchors::of(&points, side, place)?;
         if !repeated.is_empty() {
             let mut seen = HashSet::new();
-            let mut is_new = |point: &Point| seen.insert(point.map(f32::to_bits));
-            points.to_mut().retain(|point| !repeated.contains(&cell_of(place(*point), side)) || is_new(point));
-            anchors = first_of_cells(&points, side, place);
+            let is_again = |index: &u32| !seen.insert(points[*index as usize].map(f32::to_bits));
+            let again: HashSet<u32> = repeated.into_iter().filter(is_again).collect();
+            points =
+                (0..).zip(points.iter()).filter(|(index, _)| !again.contains(index)).map(|(_, point)| *point).collect();
+            anchors = Anchors::of(&points, side, place)?.0;
         }
-        Self { anchors: Anchors { is_scene, ..anchors }, points, radius }
+        Ok(Self { anchors: Anchors { is_scene, ..anchors }, points, radius })
     }
 
     /// The planar patches of the points.
@@ -151,17 +155,14 @@ impl<'a> Surroundings<'a> {
 
 /// Whether the points show the surface more finely than voxels do: they are dense, and enough patches are flat with certain
 /// normals. On thin bodies, patches contain points of both sides and are not flat. Noisy points have hardly any flat patches.
-///
-/// # Errors
-/// [`crate::Error::Input`] when no point is finite, or for more points than [`u32::MAX`].
-pub(super) fn shows_surface(patches: &Patches, voxel_size: f32) -> Result<bool> {
-    if resolution("points", patches.points())? > DENSE * f64::from(voxel_size) {
-        return Ok(false);
-    }
+pub(super) fn shows_surface(patches: &Patches) -> bool {
     let number = patches.anchors.points().len();
+    if (patches.points().len() as f32) < DENSE * number as f32 {
+        return false;
+    }
     let asked = (0..number).step_by(number.div_ceil(SURVEY).max(1));
     let certain = some_in_parallel(asked.clone(), |anchor| patches.at(anchor).filter(|patch| patch.is_certain()));
-    Ok(certain.len() as f32 > SHOWN * asked.len() as f32)
+    certain.len() as f32 > SHOWN * asked.len() as f32
 }
 
 /// Localizes keypoints, which have these scores, on the planar patches around them.

@@ -27,7 +27,7 @@ fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
 }
 
 fn localized(points: &[Point], start: Point) -> Place {
-    let anchors = first_of_cells(points, SIDES[0] * 0.25, |point| point);
+    let anchors = Anchors::of(points, SIDES[0] * 0.25, |point| point).unwrap().0;
     localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start], &[1.0])[0]
 }
 
@@ -38,7 +38,7 @@ fn distance(a: Point, b: Point) -> f32 {
 #[test]
 fn sparse_points_of_a_scene_localize_faint_keypoints_only() {
     let (points, start) = (corner(3, 0.05, 0.002), [0.05, 0.03, 0.04]);
-    let anchors = Anchors { is_scene: true, ..first_of_cells(&points, SIDES[0] * 0.25, |point| point) };
+    let anchors = Anchors { is_scene: true, ..Anchors::of(&points, SIDES[0] * 0.25, |point| point).unwrap().0 };
     let patches = Patches::new(&points, &anchors, 0.25).unwrap();
     let [faint, salient] = [0.4, 0.9].map(|score| localize(&patches, &[start], &[score])[0]);
     assert!(distance(faint.position, [0.0; 3]) < 0.02 && faint.corner == 0.0, "{faint:?}");
@@ -115,7 +115,7 @@ fn points_as_sparse_as_cells_determine_nothing() {
     let start = [0.06, 0.05, -0.04];
     for (spacing, is_known) in [(0.052, false), (0.02, true)] {
         let points = corner(3, spacing, 0.003);
-        let cells = first_of_cells(&points, SIDES[0] * 0.25, |point| point);
+        let cells = Anchors::of(&points, SIDES[0] * 0.25, |point| point).unwrap().0;
         let anchors = Anchors { is_scene: true, ..cells };
         let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start], &[1.0]);
         assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
@@ -138,7 +138,7 @@ fn a_point_that_is_stored_several_times_was_measured_once() {
     };
     let points = corner(3, 0.02, 0.003);
     let fields = [encoded(&points), encoded(&points.repeat(3))];
-    let [once, thrice] = fields.each_ref().map(|field| Surroundings::of(field, Preference::Salient));
+    let [once, thrice] = fields.each_ref().map(|field| Surroundings::of(field, Preference::Salient).unwrap());
     assert_eq!((&once.points, &once.anchors.counts), (&thrice.points, &thrice.anchors.counts));
 }
 

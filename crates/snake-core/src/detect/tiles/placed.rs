@@ -146,7 +146,7 @@ impl PlacedDetector {
             let positions: Vec<Point> = modes.iter().map(|candidate| candidate.position).collect();
             let scores: Vec<f32> = modes.iter().map(|candidate| candidate.saliency).collect();
             let places =
-                localize(&Surroundings::of(&field, self.options.detect.prefer).patches()?, &positions, &scores);
+                localize(&Surroundings::of(&field, self.options.detect.prefer)?.patches()?, &positions, &scores);
             let localized = |(candidate, place): (Candidate, Place)| {
                 let Place { position, covariance, deviations, .. } = place;
                 let rank = place.rank(candidate.saliency);

@@ -82,7 +82,7 @@ impl BlockEncoder {
             );
             return Err(Error::Option { name: "voxel_size", value, allowed });
         }
-        Ok(groups.fill_sparse(points))
+        groups.fill_sparse(points)
     }
 
     /// Writes the input of the U-Net: block 0, which stands for missing blocks, and the filled blocks.
