@@ -5,7 +5,7 @@
 
 The score counts, and how well the points determine the place: each halving of the standard deviation along a direction adds to the
 score, but for the direction that is known best, as across a wall.
-Pairs are used as they are, thinned, and with noise. Half of the objects or of the pairs is for the fit, the other half for the
+Pairs are used as they are, thinned, with noise, and downsampled to one point a cell. Half of the objects or of the pairs is for the fit, the other half for the
 expected calibration error that is printed; folders of `--test` are only for that. Detection is that of snake-rs with the options
 that the file recommends. A keypoint is found again if one of the other view lies within 4 % of the radius of an object, or two
 voxels of a scene, at most a 104th of its diagonal. In a scene only keypoints count whose place the other view saw: one of its points
@@ -30,7 +30,9 @@ OBJECT_REACH, SCENE_REACH, SEEN = 0.04, 2.0, 1.0  # radii; voxels; voxels
 SCENE_SHARE = 104  # the reach is at most this part of a scene's diagonal: sparse points have large voxels
 PROBE = {"knots": [[-1.0, 0.0], [63.0, 1.0]], "precision": 1.0}  # with it, confidences say what the map is given
 MIN_SCORE_WEIGHT = 0.1  # of the logistic function
-DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0)  # one point in so many is left; standard deviation of noise, metres
+# One point in so many is left, or for 0 the first in each cell; standard deviation of noise, metres.
+DEGRADED = (1, 0.0), (8, 0.0), (4, 0.01), (32, 0.0), (0, 0.0)
+CELL = 1.5  # side of these cells, in voxels of the whole cloud: users downsample sweeps so
 MIN_POINTS = 2000  # of a thinned cloud
 RIDGE = 1e-6
 
@@ -71,7 +73,11 @@ def of_pairs(model, folder, number, degraded=DEGRADED):
             both = []
             for end in ("source", "target"):
                 points = np.load(folder / f"{pair[end]}.npy")[:, :3].astype(np.float32)
-                points = choose(rng, points, max(len(points) // share, min(len(points), MIN_POINTS)))
+                if share:
+                    points = choose(rng, points, max(len(points) // share, min(len(points), MIN_POINTS)))
+                else:
+                    cells = np.floor(points / (CELL * model.encode(points).detect().voxel_size))
+                    points = points[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
                 points += rng.normal(0, noise, points.shape).astype(np.float32)
                 both.append((model.encode(points).detect(), cKDTree(points)))
             for (view, _), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):

@@ -95,7 +95,7 @@ fn encoder_stages() {
         case.assert_close("point_features", &features, 1e-5);
 
         let (mut groups, mut found) = (VoxelGroups::default(), Vec::new());
-        groups.fill(points.len(), |index| points[index], &frame);
+        groups.fill(points.len(), |index| points[index], &frame).unwrap();
         encoder.points.voxel_means(&groups, |index| points[index], &mut found, &Counter::default()).unwrap();
         assert_eq!(found, means);
         let scattered = encoder.scatter(&means, &groups).values;

@@ -25,7 +25,7 @@ pub fn aggregate(model: &Model, points: &[Point], features: &[f32]) -> Result<Ve
     check_points("points", points)?;
     let channels = channels("features", features.len(), points.len())?;
     let mut groups = VoxelGroups::default();
-    groups.fill(points.len(), |index| points[index], &frame);
+    groups.fill(points.len(), |index| points[index], &frame)?;
     let mut values = vec![0.0; num_voxels(&frame) * channels];
     let feature = |index: usize| &features[index * channels..][..channels];
     aggregated(model.config().scatter, &frame, &groups, |index| (points[index], feature(index)), &mut values)?;

@@ -2,8 +2,6 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
-
 use super::cube::VolumeFrame;
 use crate::Result;
 use snake_geometry::{CellGroups, Point, floor};
@@ -11,11 +9,9 @@ use snake_geometry::{CellGroups, Point, floor};
 /// Parts of a cell along each axis.
 const PARTS: usize = 3;
 
-/// The points of a cloud, grouped by the voxel that contains them, in eight bytes per point.
+/// The points of a cloud, grouped by the voxel that contains them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct VoxelGroups {
-    /// The flat index of each point's voxel.
-    voxel_of_point: Vec<u32>,
     /// The indices of the points, voxel by voxel and ascending within a voxel.
     members: Vec<u32>,
     /// The flat indices of the occupied voxels, ascending.
@@ -25,33 +21,22 @@ pub(crate) struct VoxelGroups {
 }
 
 impl VoxelGroups {
-    /// Groups `num_points` points, at most [`u32::MAX`], and replaces the previous groups. `point` returns a point by its
-    /// index, in the network's frame.
-    pub(crate) fn fill(&mut self, num_points: usize, point: impl Fn(usize) -> Point + Sync, frame: &VolumeFrame) {
-        let Self { voxel_of_point, members, voxels, starts } = self;
-        let voxel = |index: usize| frame.voxel(point(index)) as u32;
-        (0..num_points).into_par_iter().map(voxel).collect_into_vec(voxel_of_point);
-        // A counting sort: `next` has the number of points of each voxel, and then the place of its next point.
-        let mut next = vec![0_u32; frame.resolution.iter().product()];
-        voxel_of_point.iter().for_each(|voxel| next[*voxel as usize] += 1);
-        voxels.clear();
-        starts.clear();
-        let most = num_points.min(next.len());
-        voxels.reserve(most);
-        starts.reserve(most + 1);
-        let mut end = 0;
-        for (voxel, next) in (0..).zip(next.iter_mut()).filter(|(_, number)| **number > 0) {
-            voxels.push(voxel);
-            starts.push(end);
-            (*next, end) = (end, end + *next);
-        }
-        starts.push(end);
-        members.resize(num_points, 0);
-        for (index, voxel) in (0..).zip(voxel_of_point.iter()) {
-            let next = &mut next[*voxel as usize];
-            members[*next as usize] = index;
-            *next += 1;
-        }
+    /// Groups `num_points` points and replaces the previous groups. `point` returns a point by its index, in the network's frame.
+    ///
+    /// # Errors
+    /// [`crate::Error::Input`] for more points than [`u32::MAX`].
+    pub(crate) fn fill(
+        &mut self,
+        num_points: usize,
+        point: impl Fn(usize) -> Point,
+        frame: &VolumeFrame,
+    ) -> Result<()> {
+        let grouped = CellGroups::new((0..num_points).map(|index| [frame.voxel(point(index)) as i64, 0, 0]))?;
+        let mut voxels: Vec<_> = grouped.iter().collect();
+        voxels.sort_unstable_by_key(|(cell, _)| cell[0]);
+        self.set_members(voxels.iter().map(|(_, members)| members.iter().copied()));
+        self.voxels = voxels.into_iter().map(|(cell, _)| cell[0] as u32).collect();
+        Ok(())
     }
 
     /// Groups points by the cell of a lattice of unit spacing that contains them, and replaces the previous groups. Each cell has
@@ -65,18 +50,24 @@ impl VoxelGroups {
         let grouped = CellGroups::new(points.iter().map(|point| point.map(|v| floor(f64::from(v)))))?;
         let mut cells: Vec<_> = grouped.iter().collect();
         cells.sort_unstable_by_key(|&([x, y, z], _)| [z, y, x]);
-        self.voxel_of_point.clear();
-        self.voxels = (0..cells.len() as u32).collect();
-        self.starts.clear();
-        self.members.clear();
-        for (_, members) in &cells {
-            self.starts.push(self.members.len() as u32);
+        self.set_members(cells.iter().map(|(_, members)| {
             let mut is_taken = [false; PARTS.pow(3)];
-            let is_new = |index: &u32| !std::mem::replace(&mut is_taken[part_of(points[*index as usize])], true);
-            self.members.extend(members.iter().copied().filter(is_new));
-        }
-        self.starts.push(self.members.len() as u32);
+            let is_new = move |index: &u32| !std::mem::replace(&mut is_taken[part_of(points[*index as usize])], true);
+            members.iter().copied().filter(is_new)
+        }));
+        self.voxels = (0..cells.len() as u32).collect();
         Ok(cells.into_iter().map(|(cell, _)| cell.map(|i| i as i32)).collect())
+    }
+
+    /// Replaces the members by those of each voxel.
+    fn set_members(&mut self, voxels: impl Iterator<Item = impl Iterator<Item = u32>>) {
+        self.members.clear();
+        self.starts.clear();
+        self.starts.push(0);
+        for members in voxels {
+            self.members.extend(members);
+            self.starts.push(self.members.len() as u32);
+        }
     }
 
     /// The number of occupied voxels.

@@ -61,7 +61,7 @@ impl DenseEncoder {
         memory: &mut EncoderMemory,
         counter: &Counter,
     ) -> Result<Tensor> {
-        memory.groups.fill(num_points, &point, &self.frame);
+        memory.groups.fill(num_points, &point, &self.frame)?;
         counter.add(num_points);
         counter.check()?;
         match self.scatter {

@@ -218,7 +218,7 @@ mod tests {
             let mut point = |size: f32| std::array::from_fn(|_| size * (random.random::<f32>() - 0.5));
             let points: Vec<Point> = (0..crowd + others).map(|i| point(if i < crowd { 0.02 } else { 1.0 })).collect();
             let (mut groups, mut means) = (VoxelGroups::default(), vec![f32::NAN; 3]);
-            groups.fill(points.len(), |index| points[index], &frame);
+            groups.fill(points.len(), |index| points[index], &frame).unwrap();
             encoder.voxel_means(&groups, |index| points[index], &mut means, &Counter::default()).unwrap();
             assert_eq!(means, encoder.plain(&points, &frame)[1], "{crowd} and {others}");
         }
