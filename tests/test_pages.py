@@ -82,7 +82,9 @@ def stand_in(path: Path) -> None:
     elif suffix == ".csv":
         np.savetxt(path, np.hstack([points, points]), delimiter=",", header="e,n,h,x,y,z", comments="")
     elif suffix in (".las", ".laz"):
-        snake_rs.detect(8 * points, max_keypoints=None, nms_radius=None, mode_radius=None).save(path.with_suffix(".laz"))
+        snake_rs.detect(8 * points, max_keypoints=None, nms_radius=None, mode_radius=None).save(
+            path.with_suffix(".laz")
+        )
         path.with_suffix(".laz").rename(path)
     else:
         given = {
