@@ -109,7 +109,8 @@ fn flags<T: OptionGroup>() -> impl Iterator<Item = &'static OptionInfo> {
 
 /// The flag of an option.
 fn flag<T: FlagGroup>(option: &'static OptionInfo, default: &Value) -> Arg {
-    let arg = Arg::new(option.name).long(option.name.replace('_', "-")).help_heading(T::HEADING);
+    let arg =
+        Arg::new(option.name).long(option.name.replace('_', "-")).help_heading(T::HEADING).allow_negative_numbers(true);
     if (option.kind)() == OptionKind::Flag {
         return arg.help(option.help()).action(ArgAction::SetTrue);
     }

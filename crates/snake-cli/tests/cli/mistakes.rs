@@ -73,6 +73,7 @@ fn each_mistake_gets_one_line_with_advice() {
         (&["detect", &sample(), "--set", "query_resolution=0"], "1 to 256"),
         (&["detect", &sample(), "--threads", "65535"], "--threads is 65535: allowed is 1 to"),
         (&["detect", &sample(), "--threads", "0"], "--threads is 0: allowed is 1 to"),
+        (&["detect", &sample(), "--nms-radius", "-1"], "option `nms_radius` is -1: allowed is 0 or more"),
         (&["detect", &nothing], "none: No such file or directory"),
         (&["align", "scans/"], "scans/: No such file or directory"),
         (&["view", "scans", "-o", "v.html"], "scans: No such file or directory"),
