@@ -12,7 +12,7 @@ const PARTS: usize = 3;
 /// The points of a cloud, grouped by the voxel that contains them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct VoxelGroups {
-    /// The indices of the points, voxel by voxel and ascending within a voxel.
+    /// The indices of the points, voxel by voxel.
     members: Vec<u32>,
     /// The flat indices of the occupied voxels, ascending.
     voxels: Vec<u32>,
@@ -40,8 +40,8 @@ impl VoxelGroups {
     }
 
     /// Groups points by the cell of a lattice of unit spacing that contains them, and replaces the previous groups. Each cell has
-    /// 3³ parts, and only the first point of a part is kept: more points of a surface say nothing new, and a cloud in which every
-    /// point occurs twice is encoded like the cloud itself. Coordinates must be within ±2^20. Returns the lowest node of each
+    /// 3³ parts, and one point of a part is kept, whatever their order: more points of a surface say nothing new, and a cloud in which
+    /// every point occurs twice is encoded like the cloud itself. Coordinates must be within ±2^20. Returns the lowest node of each
     /// occupied cell, ordered by z, then y, then x.
     ///
     /// # Errors
@@ -51,9 +51,15 @@ impl VoxelGroups {
         let mut cells: Vec<_> = grouped.iter().collect();
         cells.sort_unstable_by_key(|&([x, y, z], _)| [z, y, x]);
         self.set_members(cells.iter().map(|(_, members)| {
-            let mut is_taken = [false; PARTS.pow(3)];
-            let is_new = move |index: &u32| !std::mem::replace(&mut is_taken[part_of(points[*index as usize])], true);
-            members.iter().copied().filter(is_new)
+            let mut chosen: [Option<u32>; PARTS.pow(3)] = [None; PARTS.pow(3)];
+            for &index in *members {
+                let point = points[index as usize];
+                let chosen = &mut chosen[part_of(point)];
+                if chosen.is_none_or(|other| lot(point) < lot(points[other as usize])) {
+                    *chosen = Some(index);
+                }
+            }
+            chosen.into_iter().flatten()
         }));
         self.voxels = (0..cells.len() as u32).collect();
         Ok(cells.into_iter().map(|(cell, _)| cell.map(|i| i as i32)).collect())
@@ -123,11 +129,16 @@ impl VoxelGroups {
         (self.starts[voxels.end] - self.starts[voxels.start]) as usize
     }
 
-    /// The indices of the points in a range of occupied voxels, voxel by voxel and ascending within a voxel.
+    /// The indices of the points in a range of occupied voxels, voxel by voxel.
     pub(crate) fn members(&self, voxels: Range<usize>) -> impl Iterator<Item = usize> {
         let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
         self.members[start..end].iter().map(|&index| index as usize)
     }
+}
+
+/// A number that depends only on a point's coordinates, and on no direction.
+fn lot(point: Point) -> u64 {
+    point.iter().fold(0, |lot, v| (lot ^ u64::from(v.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32))
 }
 
 /// The part of its cell that contains a point.
@@ -143,24 +154,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_point_of_each_part_of_a_cell_counts() {
+    fn one_point_of_each_part_of_a_cell_counts_whatever_their_order() {
         let at = |i: usize, step: f32| (i as f32 * step).fract() * 4.0 - 2.0;
         let points: Vec<Point> =
             (0..4000).map(|i| [at(i, 0.618_034), at(i, 0.754_877_7), at(i, 0.569_840_3)]).collect();
         let part = |point: &Point| point.map(|v| (v * PARTS as f32).floor() as i32);
-        let mut parts = HashSet::new();
-        let firsts: Vec<usize> = (0..points.len()).filter(|&index| parts.insert(part(&points[index]))).collect();
-        let mut groups = VoxelGroups::default();
-        let cells = groups.fill_sparse(&points).unwrap();
-        assert_eq!((cells.len(), cells.is_sorted_by_key(|[x, y, z]| [*z, *y, *x])), (64, true));
-        for (voxel, cell) in cells.iter().enumerate() {
-            let is_in_cell = |index: &usize| points[*index].map(|v| v.floor() as i32) == *cell;
-            let expected: Vec<usize> = firsts.iter().copied().filter(is_in_cell).collect();
-            assert_eq!(groups.members(voxel..voxel + 1).collect::<Vec<_>>(), expected, "{cell:?}");
-        }
-        // A cloud in which every point occurs three times is encoded like the cloud itself.
-        let once: Vec<usize> = groups.members(0..64).collect();
-        assert_eq!(groups.fill_sparse(&points.repeat(3)).unwrap(), cells);
-        assert_eq!(groups.members(0..64).collect::<Vec<_>>(), once);
+        let parts: HashSet<[i32; 3]> = points.iter().map(part).collect();
+        let chosen = |points: &[Point]| {
+            let mut groups = VoxelGroups::default();
+            let cells = groups.fill_sparse(points).unwrap();
+            assert_eq!((cells.len(), cells.is_sorted_by_key(|[x, y, z]| [*z, *y, *x])), (64, true));
+            for (voxel, cell) in cells.iter().enumerate() {
+                let are_in_cell = |index: usize| points[index].map(|v| v.floor() as i32) == *cell;
+                assert!(groups.members(voxel..voxel + 1).all(are_in_cell), "{cell:?}");
+            }
+            groups.members(0..64).map(|index| points[index]).collect::<Vec<_>>()
+        };
+        let once = chosen(&points);
+        assert_eq!((once.len(), once.iter().map(part).collect::<HashSet<_>>()), (parts.len(), parts));
+        let reversed: Vec<Point> = points.iter().copied().rev().collect();
+        assert_eq!(chosen(&reversed), once);
+        assert_eq!(chosen(&points.repeat(3)), once);
     }
 }
