@@ -10,7 +10,7 @@
 //! |---|---|
 //! | nearest points, or all within any radius, in f64 or f32 | [`KdTree`] (kiddo's tree) |
 //! | the same in f64, with normals, covariances and the resolution | [`Neighbors`], on that tree |
-//! | all candidates within one radius | [`RadiusCells`], one grid of cells |
+//! | all candidates within one radius | [`RadiusCells`], on [`CellGroups`], the points of each cell |
 //! | the nearest point, of a cloud or of each keypoint | [`PointTree`] |
 //! | the nearest point within one distance, for every step of ICP | `NearGrid` of snake-registration, cells of a box |
 //!
