@@ -189,10 +189,6 @@ def test_a_view_opens_in_the_browser_and_is_embedded_in_a_notebook(points, monke
         snake_rs.view(points, radius=1)
 
 
-def test_no_limit_is_none():
-    assert len(snake_rs.detect(torus(), max_keypoints=None, nms_radius=0)) > 64
-
-
 def test_a_list_of_clouds_gives_a_list_of_keypoints(tmp_path):
     clouds = [torus(2000), torus(3000).astype(np.float32), torus(2500) + [5e5, 5.4e6, 0]]
     expected = [snake_rs.detect(cloud) for cloud in clouds]

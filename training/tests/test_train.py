@@ -357,17 +357,6 @@ def test_cuda_without_a_gpu_is_refused(tiny):
         train(tiny(), "cuda")
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-def test_a_run_on_the_gpu(tiny):
-    config = tiny(bf16=True)
-    train(config, "cuda")
-    assert state(config)["step"] == 2
-    assert all(math.isfinite(value) for steps in scalars(config).values() for value in steps.values())
-
-
-# A living encoder
-
-
 def test_dead_layers_are_counted(network):
     assert dead_share(network) == 0
     for block in network.encoder.blocks:

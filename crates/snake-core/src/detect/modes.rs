@@ -133,17 +133,6 @@ mod tests {
     }
 
     #[test]
-    fn a_bump_is_found_between_grid_points() {
-        let center = [0.031, -0.012, 0.007];
-        let grid = |i: u32| (i as f32 - 8.0) * 0.03;
-        let positions: Vec<Point> = (0..4096).map(|i| [grid(i % 16), grid(i / 16 % 16), grid(i / 256)]).collect();
-        let squared = |p: &Point| (0..3).map(|axis| (p[axis] - center[axis]).powi(2)).sum::<f32>();
-        let scores: Vec<f32> = positions.iter().map(|p| (-squared(p) / (2.0 * 0.05_f32.powi(2))).exp()).collect();
-        let modes = seek_modes(&positions, &scores, [0.06, 0.03], 100).unwrap();
-        assert!(squared(&modes.positions[0]).sqrt() < 0.005, "{:?}", modes.positions[0]);
-    }
-
-    #[test]
     fn modes_of_no_candidates_one_candidate_and_scores_of_zero() {
         let modes = |positions: &[Point], scores: &[f32]| {
             let Modes { positions, scores } = seek_modes(positions, scores, [0.1, 0.05], 9).unwrap();

@@ -50,11 +50,11 @@ fn corners_come_first_where_they_are_preferred() {
 }
 
 #[test]
-fn modes_of_a_scene_reach_far_only_where_points_are_sparse() {
+fn modes_of_a_scene_reach_two_voxels_and_farther_where_points_are_sparse() {
     let points: Vec<Point> = (0..400).map(|i| [(i % 20) as f32, (i / 20) as f32, 0.0]).collect();
     let options = DetectOptions::default().with_mode_radius(Some(Length::Resolutions(3.5)));
     let mode = |voxel_size, diagonal| options.radii(&points, voxel_size, diagonal).unwrap().mode;
-    for (voxel_size, expected) in [(0.9, 3.5), (1.1, 3.5), (1.3, 0.65), (4.0, 2.0)] {
+    for (voxel_size, expected) in [(0.9, 3.5), (1.6, 3.5), (2.0, 4.0), (4.0, 8.0)] {
         assert_eq!([mode(voxel_size, Some(30.0)), mode(voxel_size, None)], [Some(expected), Some(3.5)]);
     }
 }

@@ -88,7 +88,7 @@ options! {
         ///
         /// Three steps of mean shift move them to the weighted mean within this radius, then 0.85 and 0.7 of it. Keypoints of scenes,
         /// and corners, then move to the point nearest to the planes around them; those of objects onto the surface. In a scene,
-        /// a multiple of the resolution counts only where points lie about as far apart as voxels, as in sweeps; else it is half a voxel.
+        /// a multiple of the resolution is at least two voxels.
         #[serde(deserialize_with = "none_if_zero")]
         mode_radius, with_mode_radius: Option<Length> = None, none "keypoints stay, as in the paper",
             from 0 or more " (cloud units, or as in `3r` resolutions)";
@@ -127,8 +127,8 @@ impl DetectOptions {
             nms = nms.min(diagonal * MAX_SHARE_OF_SCENE);
         }
         let mode = match self.mode_radius {
-            Some(multiple @ Length::Resolutions(_)) if diagonal.is_some() => {
-                let resolution = resolution_from(SPARSE * f64::from(voxel_size), points)?;
+            Some(multiple @ Length::Resolutions(number)) if diagonal.is_some() => {
+                let resolution = resolution_from(LEAST_MODE * f64::from(voxel_size) / number.max(1.0), points)?;
                 Some(mode_of_scene(multiple, resolution, voxel_size)? as f32)
             }
             length => length.map(|length| units("mode_radius", length)).transpose()?,
@@ -139,14 +139,13 @@ impl DetectOptions {
     }
 }
 
-/// The resolution of sparse points, in voxels: rooms have 0.75 and less, sweeps 1.08 and more.
-const SPARSE: f64 = 0.85;
+/// The smallest radius of modes of a scene, in voxels, if it is given in resolutions.
+const LEAST_MODE: f64 = 2.0;
 
-/// The radius of modes of a scene of a known resolution, in cloud units. Where points are sparse, the mean of candidates is the best
-/// that is known of a place; elsewhere planes know more, and a wide mean confounds neighbouring places.
+/// The radius of modes of a scene of a known resolution, in cloud units. Sparse or noisy points need a wider mean; in dense ones, the
+/// field is no finer than its voxels.
 pub(crate) fn mode_of_scene(multiple: Length, resolution: f64, voxel_size: f32) -> Result<f64> {
-    let voxel_size = f64::from(voxel_size);
-    if resolution > SPARSE * voxel_size { multiple.resolve("mode_radius", || resolution) } else { Ok(0.5 * voxel_size) }
+    Ok(multiple.resolve("mode_radius", || resolution)?.max(LEAST_MODE * f64::from(voxel_size)))
 }
 
 /// Cells with points are at most so many times as many as cells four times as wide, unless the points lie closer together than 1.2
