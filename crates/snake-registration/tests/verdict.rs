@@ -277,9 +277,9 @@ fn sparse_clouds_have_no_reliable_transform() {
     }
 }
 
-/// What a sensor on a motorway sees before it moved by `along`, with vehicles that keep pace with it, or
+/// What a sensor on a motorway sees before it moved by `along`, with vehicles that keep pace with it up to `drift`, or
 /// after. Rails and ground are the same everywhere, posts stand still.
-fn motorway(along: f64, seed: u64) -> Vec<Point> {
+fn motorway(along: f64, drift: f64, seed: u64) -> Vec<Point> {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut boxes = vec![[[-300.0, -60.0, -1.0], [300.0, 60.0, 0.0]]];
     boxes.extend([-11.0, 11.0].map(|y| [[-300.0, y - 0.1, 0.0], [300.0, y + 0.1, 0.8]]));
@@ -296,6 +296,7 @@ fn motorway(along: f64, seed: u64) -> Vec<Point> {
         (-9.0, 5.2, [4.5, 1.8, 1.5]),
         (24.0, 5.2, [4.5, 1.8, 1.5]),
     ] {
+        let x = x + drift * f64::sin(10.0 * x);
         boxes.push([[x, y - size[1] / 2.0, 0.0], [x + size[0], y + size[1] / 2.0, size[2]]]);
     }
     Scene { boxes, ..Default::default() }.seen([0.0, -1.8, 1.9], &lidar(-0.43, 0.17), 90.0, 0.01, seed)
@@ -303,13 +304,18 @@ fn motorway(along: f64, seed: u64) -> Vec<Point> {
 
 #[test]
 fn posts_that_stand_still_beside_traffic_that_keeps_pace_make_it_ambiguous() {
-    let registration = run(&motorway(0.0, 1), &motorway(17.0, 2)).unwrap();
+    let registration = run(&motorway(0.0, 0.0, 1), &motorway(17.0, 0.0, 2)).unwrap();
     assert!(registration.verdict.is_ambiguous && !registration.verdict.is_reliable, "{registration:?}");
     let note = registration.verdict.notes.iter().find(|note| note.contains("as a whole")).unwrap();
     assert!(note.contains("moved by 17.") || note.contains("moved by 16.9"), "{note}");
-    // If the sensor did stand still, nothing moved as a whole.
-    let registration = run(&motorway(0.0, 1), &motorway(0.0, 2)).unwrap();
-    assert!(registration.verdict.notes.iter().all(|note| !note.contains("as a whole")), "{registration:?}");
+    // Vehicles that drift lie apart.
+    let apart = |note: &String| note.contains("face along (1.00, 0.00, 0.00) lie apart");
+    let registration = run(&motorway(0.0, 0.0, 1), &motorway(17.0, 0.5, 2)).unwrap();
+    assert!(!registration.verdict.is_reliable && registration.verdict.notes.iter().any(apart), "{registration:?}");
+    // If the sensor did stand still, nothing moved as a whole, and nothing lies apart.
+    let registration = run(&motorway(0.0, 0.0, 1), &motorway(0.0, 0.0, 2)).unwrap();
+    let moved = |note: &String| note.contains("as a whole") || apart(note);
+    assert!(!registration.verdict.notes.iter().any(moved), "{registration:?}");
 }
 
 #[test]

@@ -58,6 +58,8 @@ pub(crate) const MAX_OFFSET: f64 = 0.15;
 const MAX_APART: f64 = 0.25;
 /// Fewer pairs of patches do not show whether the surfaces coincide. Half and twice change no outcome.
 pub(crate) const MIN_PAIRS: usize = 100;
+/// Of those along one axis, fewer are enough. Motorways have 50 to 132 that face along the road.
+const MIN_FACING: usize = 20;
 
 /// A planar patch: its mean, its normal without a sign, and the standard deviation across it.
 #[derive(Clone, Copy)]
@@ -199,8 +201,8 @@ pub(crate) struct Overlap {
     /// The pairs of these and of thicker patches, at the patches' means. Normals and distances are divided by the standard
     /// deviation across both patches, which is the noise of their points.
     pub(crate) weighed: Vec<PlanePair>,
-    /// The share of the patches that are apart, given their thickness.
-    apart: f64,
+    /// For each of the patches, whether it is apart, given its thickness.
+    are_apart: Vec<bool>,
     /// The share of paired points whose patches in both clouds are thin and agree.
     planar: f64,
 }
@@ -239,8 +241,7 @@ pub(crate) fn overlap(
     let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
     let (patches, are_apart): (Vec<PlanePair>, Vec<bool>) = thin.into_iter().flatten().unzip();
     let weighed = weighed.into_iter().flatten().collect();
-    let apart = are_apart.iter().filter(|is_apart| **is_apart).count() as f64 / patches.len().max(1) as f64;
-    Overlap { apart, planar: patches.len() as f64 / count, patches, weighed }
+    Overlap { planar: patches.len() as f64 / count, patches, are_apart, weighed }
 }
 
 impl Overlap {
@@ -258,7 +259,19 @@ impl Overlap {
 
     /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].
     pub(crate) fn apart(&self) -> f64 {
-        if self.patches.len() < MIN_PAIRS { 0.0 } else { self.apart }
+        self.apart_of(MIN_PAIRS, |_| true)
+    }
+
+    /// The share of the patches that face along an axis that are apart; 0 for fewer than [`MIN_FACING`].
+    pub(crate) fn apart_along(&self, axis: &Vector) -> f64 {
+        self.apart_of(MIN_FACING, |patch| patch.normal.dot(axis).abs() > AGREEING_COSINE)
+    }
+
+    fn apart_of(&self, min: usize, counts: impl Fn(&PlanePair) -> bool) -> f64 {
+        let counted = self.patches.iter().zip(&self.are_apart).filter(|(patch, _)| counts(patch));
+        let apart: Vec<bool> = counted.map(|(_, is_apart)| *is_apart).collect();
+        let number = apart.iter().filter(|is_apart| **is_apart).count();
+        if apart.len() < min { 0.0 } else { number as f64 / apart.len() as f64 }
     }
 }
 

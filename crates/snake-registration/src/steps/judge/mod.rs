@@ -38,8 +38,8 @@ use sight::seen_through;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
-use standing::are_at_one_place;
-use together::{Together, moved_together};
+use standing::{apart_note, are_at_one_place};
+use together::together_note;
 
 /// The next transform is a rival if the lead over it is smaller than this, where single matches
 /// were compared. Unit: share of the score. Set by hand on pairs of hotel_uc and redkitchen.
@@ -88,8 +88,8 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 ///
 /// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
 /// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
-/// rivals follow the best in `hypotheses`. A part of the scene that moved as a whole does the same if the sensors would
-/// stand at one place. A mirror image that fits better also makes it not reliable.
+/// rivals follow the best in `hypotheses`. A part of the scene that moved as a whole, and surfaces along one axis that lie apart, do
+/// the same if the sensors would stand at one place. A mirror image that fits better also makes it not reliable.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -122,17 +122,19 @@ pub fn challenge(
     if !(verdict.is_reliable || verdict.is_ambiguous || is_standing) {
         return Ok(());
     }
-    let together = if is_standing { moved_together(pair, transform)? } else { None };
+    let moved =
+        if is_standing { [together_note(pair, transform)?, apart_note(pair, transform)?] } else { [None, None] };
+    let moved: Vec<String> = moved.into_iter().flatten().collect();
     equal.retain(Rival::is_equal);
-    if equal.is_empty() && together.is_none() {
+    if equal.is_empty() && moved.is_empty() {
         return Ok(());
     }
     verdict.confidence = (verdict.confidence / 2.0).min(MAX_DOUBTFUL);
     verdict.is_reliable = false;
-    verdict.notes.splice(0..0, together.as_ref().map(Together::note));
-    verdict.is_ambiguous |= together.is_some() || equal.iter().any(|rival| !rival.is_mirrored());
+    verdict.is_ambiguous |= !moved.is_empty() || equal.iter().any(|rival| !rival.is_mirrored());
     // Finer voxels would not tell which part moved.
-    let at_rest = if together.is_some() { 1.0 } else { 0.0 };
+    let at_rest = if moved.is_empty() { 0.0 } else { 1.0 };
+    verdict.notes.splice(0..0, moved);
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     // Shifts are last in the list, and notes name them first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));

@@ -23,46 +23,31 @@ const SLIDES_TOGETHER: usize = 40;
 /// share of the cloud's spread. Posts beside a motorway have 0.315 to 0.63, one car 0.05, furniture up to 0.3.
 const MIN_TOGETHER_SPREAD: f64 = 0.31;
 
-/// A part of the source that another slide brings onto the target.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Together {
-    slide: Vector,
-    /// The share of the contradicting places that the slide brings onto the target.
-    share: f64,
-    center: Vector,
-}
-
-impl Together {
-    /// A sentence on what is ambiguous.
-    pub(super) fn note(&self) -> String {
-        let [x, y, z] = self.center.into();
-        format!(
-            "ambiguous: {:.0} % of what contradicts the transform moved by {:.3} along {} as a whole, about ({x:.2}, {y:.2}, \
-             {z:.2}) of the target: either that part of the scene moved, or the sensor did",
-            100.0 * self.share,
-            self.slide.norm(),
-            axis_name(&self.slide.normalize())
-        )
-    }
-}
-
-/// The most frequent slide that brings what a transform leaves apart onto each other, if this is a
+/// A note on the most frequent slide that brings what a transform leaves apart onto each other, if this is a
 /// good share of it and spread over the scene. Both clouds were seen from one place.
-pub(super) fn moved_together(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<Together>> {
+pub(super) fn together_note(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<String>> {
     let distance = pair.criteria().inlier_distance;
     let source = apart(pair, 0, transform)?;
     let target = apart(pair, 1, &transform.inverse())?;
     let source: Vec<Vector> = source.iter().map(|point| moved(transform, point)).collect();
     let grid = NearGrid::new(&target, 2.0 * DETAIL * distance);
     let min_spread = MIN_TOGETHER_SPREAD * spread(&pair.clouds()[1].voxels.voxels.points);
-    let together = |slide: Vector| {
+    let note = |slide: Vector| {
         let hits: Vec<Vector> =
             source.iter().map(|point| point + slide).filter(|point| grid.nearest(point).is_some()).collect();
         let share = hits.len() as f64 / source.len().min(target.len()) as f64;
-        let center = hits.iter().sum::<Vector>() / hits.len().max(1) as f64;
-        (share >= TOGETHER && spread(&hits) >= min_spread).then_some(Together { slide, share, center })
+        let [x, y, z] = (hits.iter().sum::<Vector>() / hits.len().max(1) as f64).into();
+        (share >= TOGETHER && spread(&hits) >= min_spread).then(|| {
+            format!(
+                "ambiguous: {:.0} % of what contradicts the transform moved by {:.3} along {} as a whole, about ({x:.2}, {y:.2}, \
+                 {z:.2}) of the target: either that part of the scene moved, or the sensor did",
+                100.0 * share,
+                slide.norm(),
+                axis_name(&slide.normalize())
+            )
+        })
     };
-    Ok(frequent_slides(&source, &target, distance).into_iter().find_map(together))
+    Ok(frequent_slides(&source, &target, distance).into_iter().find_map(note))
 }
 
 /// Places of a cloud that a transform does not bring onto the other cloud, although that cloud has
