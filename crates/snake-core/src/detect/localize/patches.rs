@@ -30,6 +30,9 @@ const MIN_WIDTH: f64 = 0.05;
 /// The first and the second search find about these numbers of points; the last search finds all points within reach.
 const SEARCHED: [f32; 2] = [36.0, 144.0];
 
+/// Number of points of a cell that show how noisy a wall is, at most.
+const SAMPLES: usize = 4;
+
 /// Newton's steps for an eigenvalue. About five are enough, unless two eigenvalues nearly coincide.
 const MAX_STEPS: usize = 20;
 
@@ -68,6 +71,8 @@ pub(super) struct Anchors {
     pub(super) side: f32,
     /// Number of points of the cloud in the cell of each anchor.
     pub(super) counts: Vec<u32>,
+    /// Up to [`SAMPLES`] points of each cell.
+    pub(super) samples: Vec<Point>,
     pub(super) is_scene: bool,
 }
 
@@ -83,6 +88,8 @@ impl Anchors {
         for (_, members) in cells.iter() {
             anchors.points.push(points[members[0] as usize]);
             anchors.counts.push(members.len() as u32);
+            let some = members.iter().step_by(members.len().div_ceil(SAMPLES));
+            anchors.samples.extend(some.map(|&index| points[index as usize]));
         }
         let is_repeated = |members: &&[u32]| {
             let mut others = members[1..].iter();
@@ -96,6 +103,7 @@ impl Anchors {
 /// The patches at some points of a cloud, each computed when it is first needed.
 pub(crate) struct Patches<'a> {
     points: RadiusCells<'a>,
+    samples: RadiusCells<'a>,
     /// Radii of the searches for points, ascending.
     searches: Vec<f32>,
     /// The radius within which patches determine a place.
@@ -120,6 +128,7 @@ impl<'a> Patches<'a> {
             side,
             points: RadiusCells::new(points, searches[0])?,
             searches,
+            samples: RadiusCells::new(&anchors.samples, radius)?,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
             is_scene: anchors.is_scene,
@@ -130,6 +139,13 @@ impl<'a> Patches<'a> {
     /// The points.
     pub(crate) fn points(&self) -> &[Point] {
         self.points.points()
+    }
+
+    /// Some points within the radius of a position, relative to it.
+    pub(super) fn samples_near(&self, at: &Point) -> Vec<Vector> {
+        let mut near = Vec::new();
+        self.samples.within(at, self.radius, |index| near.push(vector(self.samples.points()[index]) - vector(*at)));
+        near
     }
 
     /// The patch at an anchor; `None` where too few points are near, or where they lie on a line.

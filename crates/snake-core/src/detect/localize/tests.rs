@@ -84,17 +84,24 @@ fn an_edge_leaves_one_direction_open_and_a_plane_two() {
 }
 
 #[test]
-fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_are_not() {
+fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_and_boards_are_not() {
+    let is_one_of_many = |points: &[Point], start| {
+        let anchors = Anchors { is_scene: true, ..Anchors::of(points, SIDES[0] * 0.25, |point| point).unwrap().0 };
+        localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start], &[1.0])[0].is_one_of_many(0.05)
+    };
     for (planes, sigma, start, expected) in [
         (1, 0.003, [0.5, 0.5, 0.03], true),
         (1, 0.03, [0.5, 0.5, 0.03], true),
+        (1, 0.05, [0.5, 0.5, 0.03], true),
         (2, 0.003, [0.03, 0.5, 0.04], true),
         (3, 0.003, [0.03, 0.02, 0.04], false),
-        (3, 0.03, [0.03, 0.02, 0.04], false),
+        (3, 0.05, [0.03, 0.02, 0.04], false),
     ] {
-        let place = localized(&corner(planes, 0.01, sigma), start);
-        assert_eq!(place.is_one_of_many(0.05), expected, "{planes} {sigma}");
+        assert_eq!(is_one_of_many(&corner(planes, 0.01, sigma), start), expected, "{planes} {sigma}");
     }
+    let side = corner(1, 0.01, 0.003);
+    let board: Vec<Point> = side.iter().copied().chain(side.iter().map(|[x, y, z]| [*x, *y, z + 0.07])).collect();
+    assert!(!is_one_of_many(&board, [0.03, 0.02, 0.03]));
 }
 
 #[test]
