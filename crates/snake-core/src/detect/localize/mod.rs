@@ -214,7 +214,7 @@ fn place(patches: &Patches, keypoint: Point, score: f32) -> Place {
 /// Whether noise explains how far points within a radius lie off their plane: within small squares of the plane they vary across it
 /// as much as in all. At edges and corners they vary less within squares, whatever the noise.
 fn is_noisy_plane(points: &[Vector], radius: f32) -> bool {
-    let count = points.len() as f64;
+    let (count, side) = (points.len() as f64, SQUARE * f64::from(radius));
     let mean = points.iter().sum::<Vector>() / count;
     let products: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
     let SymmetricEigen { eigenvalues, eigenvectors } = products.symmetric_eigen();
@@ -223,8 +223,7 @@ fn is_noisy_plane(points: &[Vector], radius: f32) -> bool {
     let (mut squares, mut within, mut fourth) = ([[0.0; 2]; SQUARES * SQUARES], 0.0, 0.0);
     for point in points {
         let [height, row, column] = order.map(|axis| eigenvectors.column(axis).dot(&(point - mean)));
-        let at = |offset: f64| offset / (SQUARE * f64::from(radius)) + 0.5 * SQUARES as f64;
-        let at = |offset: f64| at(offset).clamp(0.0, SQUARES as f64 - 1.0) as usize;
+        let at = |offset: f64| (offset / side + 0.5 * SQUARES as f64).clamp(0.0, SQUARES as f64 - 1.0) as usize;
         let [number, sum] = &mut squares[at(row) * SQUARES + at(column)];
         (*number, *sum, within) = (*number + 1.0, *sum + height, within + height * height);
         fourth += height.powi(4);

@@ -103,6 +103,7 @@ impl Anchors {
 /// The patches at some points of a cloud, each computed when it is first needed.
 pub(crate) struct Patches<'a> {
     points: RadiusCells<'a>,
+    /// Points of scenes that show how noisy walls are.
     samples: RadiusCells<'a>,
     /// Radii of the searches for points, ascending.
     searches: Vec<f32>,
@@ -128,7 +129,7 @@ impl<'a> Patches<'a> {
             side,
             points: RadiusCells::new(points, searches[0])?,
             searches,
-            samples: RadiusCells::new(&anchors.samples, radius)?,
+            samples: RadiusCells::new(if anchors.is_scene { &anchors.samples } else { &[] }, radius)?,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
             is_scene: anchors.is_scene,
