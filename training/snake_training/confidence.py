@@ -4,7 +4,7 @@
     python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
 
 The score counts, and how well the points determine the place: each halving of the standard deviation along a direction adds to the
-score, but for the direction that is known best, as across a wall.
+score, but for the direction that is known best, as across a wall. So does each doubling of the reach in voxels.
 Pairs are used as they are, thinned, with noise, and downsampled to one point a cell. Half of the objects or of the pairs is for the fit, the other half for the
 expected calibration error that is printed; folders of `--test` are only for that. Detection is that of snake-rs with the options
 that the file recommends. A keypoint is found again if one of the other view lies within 4 % of the radius of an object, or two
@@ -42,15 +42,16 @@ def repeated(points, others, reach):
     return cKDTree(others).query(points)[0] <= reach if len(others) else np.zeros(len(points), bool)
 
 
-def features_of(keypoints):
-    """The score, and how often the standard deviations are halved, of keypoints of a `probe`: (K, 2)."""
+def features_of(keypoints, reach=1.0):
+    """The score, how often the standard deviations are halved, and the reach doubled, of keypoints of a `probe`: (K, 3)."""
     (low, _), (high, _) = PROBE["knots"]
     evidence = low + (high - low) * keypoints.confidence
-    return np.column_stack([keypoints.saliency, evidence - keypoints.saliency])
+    doublings = np.full(len(keypoints), np.log2(reach))
+    return np.column_stack([keypoints.saliency, evidence - keypoints.saliency, doublings])
 
 
 def of_objects(model, shapes, number, points, rotations):
-    """A list of (features (K, 2), whether found again (K,)) of objects, both of whose views are turned and sampled anew."""
+    """A list of (features (K, 3), whether found again (K,)) of objects, both of whose views are turned and sampled anew."""
     rows = []
     for views in view_pairs(shapes, number, points, 0):
         clouds = views.view_1, views.view_2
@@ -62,7 +63,7 @@ def of_objects(model, shapes, number, points, rotations):
 
 
 def of_pairs(model, folder, number, degraded=DEGRADED):
-    """A list of (features (K, 2), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
+    """A list of (features (K, 3), whether found again (K,)) for pairs of scenes, from a folder with `pairs.json`, in turn as they are and
     degraded."""
     listed, rows = json.loads((folder / "pairs.json").read_text()), []
     for row in np.linspace(0, len(listed) - 1, min(number, len(listed))).round().astype(int):
@@ -80,26 +81,26 @@ def of_pairs(model, folder, number, degraded=DEGRADED):
                     points = points[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
                 points += rng.normal(0, noise, points.shape).astype(np.float32)
                 both.append((model.encode(points).detect(), cKDTree(points)))
-            for (view, _), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
+            for (view, own), (other, tree), t in zip(both, both[::-1], (matrix, np.linalg.inv(matrix)), strict=True):
                 moved = view.points @ t[:3, :3].T + t[:3, 3]
                 is_seen = tree.query(moved)[0] <= SEEN * other.voxel_size
-                diagonal = np.linalg.norm(np.ptp(tree.data, axis=0))
-                features.append(features_of(view)[is_seen])
+                diagonal = np.linalg.norm(np.ptp(own.data, axis=0))
                 reach = min(SCENE_REACH * view.voxel_size, diagonal / SCENE_SHARE)
+                features.append(features_of(view, reach / view.voxel_size)[is_seen])
                 hits.append(repeated(moved[is_seen], other.points, reach))
         rows.append((np.concatenate(features), np.concatenate(hits)))
     return rows
 
 
-def precision_of(features, hits, weights):
-    """What each halving adds to the score, by a logistic function of features (K, 2), fitted by Newton's method."""
+def worths_of(features, hits, weights):
+    """What each feature (K, F) is worth beside the first one, by a logistic function of them, fitted by Newton's method: (F,)."""
     columns, found = np.column_stack([np.ones(len(features)), features]), np.zeros(features.shape[1] + 1)
     for _ in range(50):
         probability = 1 / (1 + np.exp(-columns @ found))
         slope = columns.T @ (weights * (hits - probability)) - RIDGE * found
         curvature = (columns * (weights * probability * (1 - probability))[:, None]).T @ columns
         found += np.linalg.solve(curvature + RIDGE * np.eye(len(found)), slope)
-    return round(float(max(found[2], 0) / max(found[1], MIN_SCORE_WEIGHT)), 4)
+    return np.array([1.0, *(found[2:].clip(0) / max(found[1], MIN_SCORE_WEIGHT)).round(4)])
 
 
 def isotonic(values, weights):
@@ -190,12 +191,12 @@ def fit_map(path, objects="", pairs=(), test=(), number=200, num_points=5000, ro
     if not len(features):
         return {"map": None, "sets": {}}
     weights = np.concatenate([np.full(len(part), 1 / max(len(part), 1)) for part, _ in fitted])  # sets count alike
-    precision = precision_of(features, hits, weights)
-    knots = fit(features @ [1, precision], hits, weights)
-    report = {"map": {"knots": knots, "precision": precision}, "sets": {}}
+    worths = worths_of(features, hits, weights)
+    knots = fit(features @ worths, hits, weights)
+    report = {"map": {"knots": knots, "precision": worths[1], "reach": worths[2]}, "sets": {}}
     for name, rows in ({name: rows[1::2] for name, rows in sets.items()} | tests).items():
         features, hits = joined(rows)
-        error = calibration_error(knots, features @ [1, precision], hits)
+        error = calibration_error(knots, features @ worths, hits)
         figures = {"keypoints": len(features), "found_again": float(hits.mean()), "calibration_error": float(error)}
         report["sets"][name] = figures
     if write:

@@ -9,7 +9,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from scipy.spatial import cKDTree
 
-from snake_training.confidence import calibration_error, fit, isotonic, main, precision_of, repeated, write_map
+from snake_training.confidence import calibration_error, fit, isotonic, main, repeated, worths_of, write_map
 from snake_training.data import Procedural
 from snake_training.make import main as make
 
@@ -36,12 +36,12 @@ def test_a_map_says_how_often_a_keypoint_is_found_again():
         assert calibration_error(wrong, scores[1::2], hits[1::2]) > 0.1
 
 
-def test_precise_places_count_like_a_higher_score():
+def test_precise_places_and_a_long_reach_count_like_a_higher_score():
     rng = np.random.default_rng(2)
-    features = rng.uniform(size=(40_000, 2)) * [1, 3]
+    features = rng.uniform(size=(40_000, 3)) * [1, 3, 3]
     for halving, expected in ((0.5, 0.25), (-0.5, 0.0)):
-        hits = rng.uniform(size=len(features)) < 1 / (1 + np.exp(1 - features @ [2, halving]))
-        assert precision_of(features, hits, np.ones(len(hits))) == pytest.approx(expected, abs=0.04)
+        hits = rng.uniform(size=len(features)) < 1 / (1 + np.exp(1 - features @ [2, halving, 1]))
+        assert worths_of(features, hits, np.ones(len(hits))) == pytest.approx([1, expected, 0.5], abs=0.04)
 
 
 def test_keypoints_are_repeated_within_the_reach():

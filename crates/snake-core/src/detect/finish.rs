@@ -69,7 +69,7 @@ pub(super) fn finish(
         saliency: scores[rank],
         occupancy: occupancy[rank],
         nearest_index: points.original_index(nearest[rank]),
-        confidence: field.network().confidence(scores[rank], places[rank].deviations, field.voxel_size()),
+        confidence: field.network().confidence(scores[rank], places[rank].deviations, field.voxel_size(), radii.reach),
         covariance: places[rank].covariance,
     };
     let is_kept = |keypoint: &Keypoint| options.min_confidence.is_none_or(|min| keypoint.confidence >= Some(min));

@@ -11,6 +11,9 @@ const MAX_KNOTS: usize = 64;
 /// Standard deviations are clamped to this range, in voxels.
 const DEVIATIONS: [f32; 2] = [0.06, 0.6];
 
+/// Least reach, in voxels.
+const MIN_REACH: f32 = 0.25;
+
 /// A piecewise linear, non-decreasing map from evidence to probabilities, fitted by `snake_training.confidence`.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(from = "Map")]
@@ -20,6 +23,8 @@ pub(crate) struct ConfidenceMap {
     /// Evidence that each halving of the standard deviation adds to the score, along each of the two least precise directions. The
     /// most precise direction, such as across a wall, adds nothing.
     precision: f32,
+    /// Evidence that each doubling of the reach adds, within which another view finds the keypoint again.
+    reach: f32,
 }
 
 /// [`ConfidenceMap`] in a file.
@@ -28,22 +33,27 @@ pub(crate) struct ConfidenceMap {
 enum Map {
     /// Only the score counts.
     Scores(Vec<[f32; 2]>),
-    /// The score and the standard deviations count.
-    Evidence { knots: Vec<[f32; 2]>, precision: f32 },
+    /// The score, the standard deviations and the reach count.
+    Evidence {
+        knots: Vec<[f32; 2]>,
+        precision: f32,
+        #[serde(default)]
+        reach: f32,
+    },
 }
 
 impl From<Map> for ConfidenceMap {
     fn from(map: Map) -> Self {
         match map {
-            Map::Scores(knots) => Self { knots, precision: 0.0 },
-            Map::Evidence { knots, precision } => Self { knots, precision },
+            Map::Scores(knots) => Self { knots, precision: 0.0, reach: 0.0 },
+            Map::Evidence { knots, precision, reach } => Self { knots, precision, reach },
         }
     }
 }
 
 impl ConfidenceMap {
-    /// Reads the metadata key `confidence`, which is JSON: `[[score, probability], ..]`, or `{"knots": .., "precision": ..}` if
-    /// the standard deviations count too. Returns `None` if the file has no such key.
+    /// Reads the metadata key `confidence`, which is JSON: `[[score, probability], ..]`, or `{"knots": .., "precision": .., "reach": ..}`
+    /// if the standard deviations and the reach count too. Returns `None` if the file has no such key.
     pub(crate) fn from_weights(file: &Weights) -> Result<Option<Self>> {
         let Some(json) = file.metadata.get("confidence") else { return Ok(None) };
         let refused = |found: String| {
@@ -54,17 +64,19 @@ impl ConfidenceMap {
         let is_map = (2..=MAX_KNOTS).contains(&map.knots.len())
             && map.knots.iter().all(|[score, probability]| score.is_finite() && (0.0..=1.0).contains(probability))
             && map.knots.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1])
-            && map.precision.is_finite();
+            && map.precision.is_finite()
+            && map.reach.is_finite();
         if is_map { Ok(Some(map)) } else { Err(refused(json.clone())) }
     }
 
-    /// The probability for a keypoint's score and its standard deviations along three directions, in a volume of this voxel size.
-    /// It is linear between knots and constant beyond the first and the last one.
-    pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> f32 {
+    /// The probability for a keypoint's score and its standard deviations along three directions, in a volume of this voxel size,
+    /// where keypoints are found again within a reach. It is linear between knots and constant beyond the first and the last one.
+    pub(crate) fn at(&self, score: f32, deviations: [f32; 3], voxel_size: f32, reach: f32) -> f32 {
         let [low, high] = DEVIATIONS;
         let mut halvings = deviations.map(|deviation| (high / (deviation / voxel_size).clamp(low, high)).log2());
         halvings.sort_by(f32::total_cmp);
-        let evidence = score + self.precision * (halvings[0] + halvings[1]);
+        let doublings = (reach / voxel_size).max(MIN_REACH).log2();
+        let evidence = score + self.precision * (halvings[0] + halvings[1]) + self.reach * doublings;
         let next = self.knots.partition_point(|knot| knot[0] <= evidence);
         match (next.checked_sub(1).map(|last| self.knots[last]), self.knots.get(next)) {
             (Some([low, from]), Some([high, to])) => from + (to - from) * ((evidence - low) / (high - low)),
@@ -102,7 +114,7 @@ mod tests {
         let map = model.network().confidence.as_ref().unwrap();
         let scores = [-1.0, 0.0, 0.25, 0.4, 0.5, 0.625, 0.75, 0.9, f32::INFINITY];
         assert_eq!(
-            scores.map(|score| map.at(score, [f32::INFINITY; 3], 1.0)),
+            scores.map(|score| map.at(score, [f32::INFINITY; 3], 1.0, 2.0)),
             [0.5, 0.5, 0.5, 0.5, 0.5, 0.75, 1.0, 1.0, 1.0]
         );
     }
@@ -113,10 +125,22 @@ mod tests {
         let map = model.network().confidence.as_ref().unwrap();
         let of = |deviation: f32| [deviation, f32::INFINITY, 0.1 * deviation];
         for (score, deviation, evidence) in [(0.5, 0.6, 0.5), (0.5, 0.3, 1.0), (0.5, 0.15, 1.5), (0.25, 9.0, 0.25)] {
-            assert!((map.at(score, of(0.2 * deviation), 0.2) - evidence / 2.0).abs() < 1e-5, "{score} {deviation}");
+            assert!(
+                (map.at(score, of(0.2 * deviation), 0.2, 0.1) - evidence / 2.0).abs() < 1e-5,
+                "{score} {deviation}"
+            );
         }
-        assert_eq!(map.at(0.5, [f32::INFINITY; 3], 0.2), 0.25);
-        assert_eq!(map.at(0.5, of(1e-9), 0.2), map.at(0.5, of(0.012), 0.2));
+        assert_eq!(map.at(0.5, [f32::INFINITY; 3], 0.2, 0.1), 0.25);
+        assert_eq!(map.at(0.5, of(1e-9), 0.2, 0.1), map.at(0.5, of(0.012), 0.2, 0.1));
+    }
+
+    #[test]
+    fn each_doubling_of_the_reach_counts_like_so_much_score() {
+        let model = model(Some(r#"{"knots": [[0.0, 0.0], [2.0, 1.0]], "precision": 0.5, "reach": 0.25}"#)).unwrap();
+        let map = model.network().confidence.as_ref().unwrap();
+        for (reach, evidence) in [(0.4, 1.25), (0.2, 1.0), (0.1, 0.75), (0.0, 0.5)] {
+            assert_eq!(map.at(1.0, [f32::INFINITY; 3], 0.2, reach), evidence / 2.0, "{reach}");
+        }
     }
 
     #[test]

@@ -61,7 +61,7 @@ impl Network {
     }
 
     /// The probability that another view finds a keypoint again; `None` without a map. See [`ConfidenceMap::at`] for the arguments.
-    pub(crate) fn confidence(&self, score: f32, deviations: [f32; 3], voxel_size: f32) -> Option<f32> {
-        self.confidence.as_ref().map(|map| map.at(score, deviations, voxel_size))
+    pub(crate) fn confidence(&self, score: f32, deviations: [f32; 3], voxel_size: f32, reach: f32) -> Option<f32> {
+        self.confidence.as_ref().map(|map| map.at(score, deviations, voxel_size, reach))
     }
 }

@@ -135,7 +135,8 @@ impl DetectOptions {
         };
         let mode = mode.map(|radius| radius * width).filter(|radius| *radius > 0.0);
         let starts_in_voxels = diagonal.map_or(0.0, |_| SCENE_STARTS * voxel_size);
-        Ok(Radii { nms, mode, starts: mode.map_or(0.0, |radius| starts_in_voxels.max(radius / 2.0)) })
+        let reach = (REACH * voxel_size).min(diagonal.map_or(f32::INFINITY, |diagonal| diagonal * REACH_OF_SCENE));
+        Ok(Radii { nms, mode, reach, starts: mode.map_or(0.0, |radius| starts_in_voxels.max(radius / 2.0)) })
     }
 }
 
@@ -166,9 +167,15 @@ pub(crate) struct Radii {
     /// 0 for no suppression.
     pub(crate) nms: f32,
     pub(crate) mode: Option<f32>,
+    /// The distance within which another view finds a keypoint again, as confidences count.
+    pub(crate) reach: f32,
     /// The least distance of the candidates that move to modes.
     pub(crate) starts: f32,
 }
+
+/// A keypoint is found again within so many voxels, and in a scene within this share of its diagonal.
+const REACH: f32 = 2.0;
+const REACH_OF_SCENE: f32 = 1.0 / 104.0;
 
 /// Keypoints whose distance is in voxels need not lie farther apart than this share of the diagonal of their scene: sparse points
 /// have large voxels, and the scene has the same corners.

@@ -4,13 +4,18 @@
 //! with the squared distance r from the sensor and with the angle between ray and normal. A model is instead sampled evenly,
 //! and merged or fused scans have the densities of several sensors. A place is the sensor's if it explains the densities much
 //! better than even sampling does, and if its residuals are noise and not regions that another sensor also saw. Surfaces are
-//! too coarse to give the exact place, so it is refined by counting rays in bundles of points that are neighbours in view. The
-//! frame's origin is taken if the densities lead to it. It is also taken, as the place of a camera whose images were fused, if
-//! the densities do not tell, the cloud lies ahead of it, and most of the cloud is in view.
+//! too coarse to give the exact place, so it is refined by counting rays in bundles of points that are neighbours in view.
+//!
+//! The beams of a LiDAR or a scanner rotate about an axis. Neighbours of one beam have the same elevation, which tells the place
+//! to centimetres, however few the beams are.
+//!
+//! The frame's origin is taken if the densities lead to it. It is also taken, as the place of a camera whose images were fused, if
+//! the densities do not tell, the cloud lies along its z axis, and most of the cloud is in view.
 
 use std::collections::HashMap;
 use std::f64::consts::SQRT_2;
 use std::num::NonZeroUsize;
+use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
@@ -43,15 +48,30 @@ const REACH: f64 = 2.0;
 const FEW_DENSITIES: usize = 200;
 /// Number of places of the grid that are refined.
 const STARTS: usize = 5;
-/// Largest ratio of the costs with and without a lattice of rays. Scanners have 0.4 and less, cameras 0.06, others 0.8.
+/// Largest ratio of the costs with and without pixels. Cameras have 0.06, others 0.8.
 const LATTICE_COST: f64 = 0.6;
-/// The same ratio of the costs of bundles. Tripods on open ground have 0.64.
-const BUNDLES_COST: f64 = 0.8;
 /// Maximum number of bundles of rays that refine the place, and number of rays in each.
 const MAX_BUNDLES: usize = 700;
 const RAYS: NonZeroUsize = NonZeroUsize::new(16).unwrap();
 /// Upper limit of the cost of bundles. Those of scanners and cameras have up to 0.17, those of single beams 0.22 and more.
 const MAX_BUNDLE_COST: f64 = 0.2;
+/// Side of a part of the view, in radians, and number of nearest points to which steps are made, with the point itself.
+const PART: f64 = 0.06;
+const STEPS: NonZeroUsize = NonZeroUsize::new(3).unwrap();
+/// Steps at an angle to a beam up to about this sine count fully.
+const MAX_SINE: f64 = 0.15;
+/// Steps along beams are below these sines, steps between beams above. Largest share of the others: of sweeps 0 to 0.13, of merged
+/// ones 0.15 and more.
+const OBLIQUE: Range<f64> = 0.26..0.97;
+const MAX_OBLIQUE: f64 = 0.14;
+/// Largest standard deviation of the place of beams, relative to the cloud's radius: sweeps have up to 0.014, images, for whose
+/// rows it is any place, 0.04 and more.
+const MAX_DEVIATION: f64 = 0.015;
+/// Beams are the sensor's where it explains the densities and the view at least so well.
+const MAX_UNEXPLAINED_BY_BEAMS: f64 = 0.8;
+const MIN_VISIBLE: f64 = 0.62;
+/// Rays at a smaller cosine to the normal graze the surface.
+const GRAZING: f64 = 0.3;
 /// Number of times that bundles are formed.
 const ROUNDS: usize = 3;
 /// Maximum number of steps of a search, and of one round.
@@ -60,8 +80,10 @@ const FEW_STEPS: usize = 5;
 /// Largest unexplained share with a sensor: of the cost of even sampling, and of that plus the share of hidden points.
 /// Synthetic scans have up to 0.47, merged scans and models 0.53 and more.
 const MAX_UNEXPLAINED: f64 = 0.5;
-/// A place this close to the frame's origin is the origin. Unit: median distances of the points from the origin.
+/// A place this close to the frame's origin is the origin. Unit: median distances of the points from the origin, or from their
+/// middle for a place of beams.
 const AT_ORIGIN: f64 = 0.15;
+const AT_ORIGIN_BY_BEAMS: f64 = 0.01;
 /// Largest excess of residuals on surfaces, relative to the differences between neighbours; and largest product of it and the
 /// excess in view. Merged scans, whose parts were seen by one sensor or by two, have 1.4 and 1.62 and more. The last value is
 /// added to each cost.
@@ -74,9 +96,9 @@ const MIN_NOISE: f64 = 0.02;
 const APART: NonZeroUsize = NonZeroUsize::new(5).unwrap();
 /// Side of a pixel for visibility, as the tangent of an angle, for a sensor within the cloud.
 const PIXEL: f64 = 0.05;
-/// All points lie ahead of a camera: the mean of the unit vectors to them is longer than this. Fused images have 0.89 and more,
-/// sectors of 140 degrees 0.77. A model around its origin has 0 to 0.1; one beside it, 0.6 to 0.94, is not told apart.
-const MIN_AHEAD: f64 = 0.5;
+/// All points lie ahead of a camera, which looks along the z axis of its frame: the mean of the unit vectors to them has more of it.
+/// Fused images have 0.84 and more.
+const MIN_AHEAD: f64 = 0.75;
 /// Nor are they far away: the median point is at most this many median distances from the camera. Fused images have 1.9 to 4.
 const MAX_AWAY: f64 = 4.5;
 /// Smallest visible share of fused images; the camera moved, so it does not see all. They have 0.59 and more. Merged scans, seen
@@ -97,8 +119,8 @@ pub struct Sensor {
 impl Sensor {
     /// Finds the sensor of a cloud that was seen from one place. Returns `None` for models, merged scans and undecided cases.
     /// Points that are not finite do not count.
-    pub fn find(points: &[Point]) -> Option<Self> {
-        let points = sample(points);
+    pub fn find(all: &[Point]) -> Option<Self> {
+        let points = sample(all);
         if points.len() < MIN_DENSITIES {
             return None;
         }
@@ -109,18 +131,16 @@ impl Sensor {
         }
         let best = search(&densities, &cloud.points).above(&densities, &cloud.points);
         let unexplained = (best.cost + MIN_NOISE) / cost_of_even(&densities);
+        let has_beams = unexplained < MAX_UNEXPLAINED_BY_BEAMS;
+        if let Some(place) = has_beams.then(|| best.by_beams(&axes(&densities), all, &cloud.points)).flatten() {
+            return Some(Self { position: place.into(), visible: visible_share(&cloud.points, &place) });
+        }
         if unexplained > MAX_UNEXPLAINED {
             return Self::before_fused(&cloud.points);
         }
         let distance = median(cloud.points.iter().map(Vector::norm).collect());
         let is_origin = best.place.norm() < AT_ORIGIN * distance;
-        // Few densities do not show a lattice that many rays show.
-        let turning = Fit { lattice: Lattice::Turning, axis: axes(&densities)[0], ..best };
-        let by_bundles = |fit: Fit| if is_origin { None } else { fit.by_bundles(&cloud.points) };
-        let turning = (best.lattice == Lattice::None).then_some(turning).and_then(by_bundles);
-        let in_view = by_bundles(best);
-        let is_turning = |(fit, _): &(Fit, f64)| in_view.is_none_or(|(none, _)| fit.cost < BUNDLES_COST * none.cost);
-        let in_view = turning.filter(is_turning).or(in_view);
+        let in_view = if is_origin { None } else { best.by_bundles(&cloud.points, &densities) };
         let place = if is_origin { Vector::zeros() } else { in_view.map_or(best.place, |(fit, _)| fit.place) };
         let visible = visible_share(&cloud.points, &place);
         if unexplained + 1.0 - visible > MAX_UNEXPLAINED {
@@ -137,7 +157,7 @@ impl Sensor {
         let ahead = points.iter().filter_map(|point| point.try_normalize(0.0)).sum::<Vector>() / points.len() as f64;
         let (center, radius) = middle(points);
         let visible = visible_share(points, &Vector::zeros());
-        let is_near = ahead.norm() > MIN_AHEAD && center.norm() < MAX_AWAY * radius;
+        let is_near = ahead.z.abs() > MIN_AHEAD && center.norm() < MAX_AWAY * radius;
         (is_near && visible > MIN_FUSED).then_some(Self { position: [0.0; 3], visible })
     }
 
@@ -153,15 +173,17 @@ impl Sensor {
 /// columns in each row of a scan.
 fn sample(points: &[Point]) -> Vec<Vector> {
     let step = points.len().div_ceil(MAX_POINTS).max(1);
-    let random = |(index, stretch): (usize, &[Point])| {
-        // SplitMix64 by Steele, Lea and Flood.
-        let mixed = (index as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        vector(stretch[(mixed ^ mixed >> 31) as usize % stretch.len()])
-    };
+    let random = |(index, stretch): (usize, &[Point])| vector(stretch[mixed(index as u64) as usize % stretch.len()]);
     let finite = |point: &Vector| point.iter().all(|v| v.is_finite());
     points.chunks(step).enumerate().map(random).filter(finite).collect()
+}
+
+/// A random number for a number: SplitMix64 by Steele, Lea and Flood.
+fn mixed(number: u64) -> u64 {
+    let mixed = number.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+    mixed ^ mixed >> 31
 }
 
 /// A planar neighbourhood.
@@ -212,13 +234,15 @@ impl Patch for &Density {
 struct Bundle(Vec<Vector>);
 
 impl Bundle {
-    /// The bundles of a cloud as seen from a place.
-    fn seen(points: &[Vector], place: &Vector) -> Option<Vec<Self>> {
+    /// The bundles of a cloud as seen from a place, around neighbourhoods that the rays do not graze: many of those rays are lost.
+    fn seen(points: &[Vector], densities: &[Density], place: &Vector) -> Option<Vec<Self>> {
         let direction = |point: &Vector| (point - place).try_normalize(f64::MIN_POSITIVE).unwrap_or(Vector::z());
         let directions = Neighbors::new(points.iter().map(direction).collect()).ok()?;
-        let seen = directions.points.iter().step_by(points.len().div_ceil(MAX_BUNDLES));
         let bundle = |at: &Vector| directions.nearest(at, RAYS).into_iter().map(|(index, _)| points[index]).collect();
-        Some(seen.map(|at| Self(bundle(at))).collect())
+        let is_grazed = |density: &&Density| direction(&density.point).dot(&density.normal).abs() < GRAZING;
+        let seen: Vec<&Density> = densities.iter().filter(|density| !is_grazed(density)).collect();
+        let seen = seen.iter().step_by(seen.len().div_ceil(MAX_BUNDLES).max(1));
+        Some(seen.map(|density| Self(bundle(&direction(&density.point)))).collect())
     }
 
     /// The directions and inverse distances of the points from a place, and the mean direction.
@@ -256,13 +280,52 @@ impl Patch for Bundle {
     }
 }
 
+/// A step between neighbours in view. Points of a beam that rotates about the axis have one elevation, however far away they are.
+struct Step {
+    middle: Vector,
+    along: Vector,
+}
+
+impl Step {
+    /// Steps to the nearest others, in parts of the view from a place that keep all of their points.
+    fn seen(points: &[Point], place: &Vector) -> Option<Vec<Self>> {
+        let most = u64::MAX / points.len().div_ceil(MAX_POINTS) as u64;
+        let is_in_part = |point: &Vector| {
+            let cell = (point - place).try_normalize(0.0).unwrap_or_default().map(|v| (v / PART).floor() as i64 as u64);
+            mixed(mixed(mixed(cell[0]) ^ cell[1]) ^ cell[2]) <= most
+        };
+        let is_finite = |point: &Vector| point.iter().all(|v| v.is_finite());
+        let kept = points.iter().map(|point| vector(*point)).filter(|point| is_finite(point) && is_in_part(point));
+        let cloud = Neighbors::new(kept.collect()).ok()?;
+        let step =
+            |from: &Vector, to: usize| Self { middle: 0.5 * (from + cloud.points[to]), along: cloud.points[to] - from };
+        let steps = cloud.points.iter().step_by(cloud.points.len().div_ceil(MAX_DENSITIES).max(1)).flat_map(|from| {
+            let others = cloud.nearest(from, STEPS).into_iter().filter(|(_, distance)| *distance > 0.0);
+            others.map(|(to, _)| step(from, to)).collect::<Vec<_>>()
+        });
+        Some(steps.collect())
+    }
+}
+
+impl Patch for Step {
+    /// In place of a density, the sine of the angle between the step and the circle of its elevation about the axis, over
+    /// [`MAX_SINE`].
+    fn density(&self, place: &Vector, _: Lattice, axis: &Vector) -> (f64, Vector, Vector) {
+        let offset = self.middle - place;
+        let distance = offset.norm().max(f64::MIN_POSITIVE);
+        let ray = offset / distance;
+        let [up, along] = [axis, &self.along].map(|of| of - of.dot(&ray) * ray);
+        let scale = SCALE / MAX_SINE / (along.norm() * up.norm()).max(f64::MIN_POSITIVE);
+        let by_place = (axis.dot(&ray) * along + self.along.dot(&ray) * up) / distance;
+        (scale * along.dot(&up), scale * by_place, scale * (along - along.dot(axis) * axis))
+    }
+}
+
 /// How the rays of a sensor are arranged about its axis.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Lattice {
     /// Equal angles in all directions.
     None,
-    /// Equal steps of elevation and azimuth: a scanner that rotates about the axis.
-    Turning,
     /// The pixels of an image perpendicular to the axis.
     Image,
 }
@@ -272,10 +335,6 @@ impl Lattice {
     fn cell(self, height: f64) -> (f64, f64) {
         match self {
             Self::None => (0.0, 0.0),
-            Self::Turning => {
-                let squared = (1.0 - height * height).max(0.0) + MIN_COSINE * MIN_COSINE;
-                (0.5 * squared.ln(), -height / squared)
-            }
             Self::Image => {
                 let height = height.max(MIN_COSINE);
                 (3.0 * height.ln(), 3.0 / height)
@@ -353,10 +412,10 @@ impl Fit {
 
     /// The best fit near this one to the bundles that are seen from there, and its excess; `None` if the bundles are rays of
     /// single beams, which have no width.
-    fn by_bundles(mut self, points: &[Vector]) -> Option<(Self, f64)> {
+    fn by_bundles(mut self, points: &[Vector], densities: &[Density]) -> Option<(Self, f64)> {
         let mut bundles = Vec::new();
         for _ in 0..ROUNDS {
-            bundles = Bundle::seen(points, &self.place)?;
+            bundles = Bundle::seen(points, densities, &self.place).filter(|bundles| bundles.len() >= MIN_DENSITIES)?;
             self = Self::at(&bundles, self.place, self.lattice, self.axis).improved(&bundles, FEW_STEPS);
         }
         let rays = |bundle: &Bundle| (bundle.directions(&self.place).1, self.residual(bundle));
@@ -364,19 +423,51 @@ impl Fit {
         (self.cost < MAX_BUNDLE_COST).then_some((self, left))
     }
 
+    /// The place of the sensor of whose rotating beams the points consist, if they show it.
+    fn by_beams(&self, axes: &[Vector], all: &[Point], points: &[Vector]) -> Option<Vector> {
+        let steps = Step::seen(all, &self.place).filter(|steps| steps.len() >= MIN_DENSITIES)?;
+        let fit = |axis: &Vector| Self::at(&steps, self.place, Lattice::None, *axis).improved(&steps, MAX_STEPS);
+        let fit = axes.iter().map(fit).min_by(|a, b| a.cost.total_cmp(&b.cost))?;
+        let (_, radius) = middle(points);
+        let sine = |step: &Step| (fit.residual(step) * MAX_SINE / SCALE).abs();
+        let oblique = steps.iter().filter(|step| OBLIQUE.contains(&sine(step))).count();
+        let is_sensor = (oblique as f64) < MAX_OBLIQUE * steps.len() as f64
+            && fit.deviation(&steps) < MAX_DEVIATION * radius
+            && visible_share(points, &fit.place) > MIN_VISIBLE;
+        let is_origin = fit.place.norm() < AT_ORIGIN_BY_BEAMS * radius;
+        is_sensor.then_some(if is_origin { Vector::zeros() } else { fit.place })
+    }
+
+    /// The largest standard deviation of the place along any direction.
+    fn deviation(&self, patches: &[impl Patch]) -> f64 {
+        let (squares, _) = self.normal_equations(patches);
+        let weights = patches.iter().map(|patch| (self.residual(patch), robust(self.residual(patch)).1));
+        let [sum, weight] =
+            weights.fold([0.0; 2], |[sum, all], (residual, weight)| [sum + weight * residual * residual, all + weight]);
+        let covariance =
+            squares.try_inverse().unwrap_or_else(|| SMatrix::repeat(f64::INFINITY)).fixed_view::<3, 3>(0, 0)
+                * (sum / weight);
+        covariance.symmetric_eigenvalues().max().sqrt()
+    }
+
+    /// The weighted squares and the gradient of the residuals.
+    fn normal_equations(&self, patches: &[impl Patch]) -> (SMatrix<f64, 7, 7>, SVector<f64, 7>) {
+        let (mut squares, mut gradient) = (SMatrix::identity() * 1e-9, SVector::zeros());
+        for patch in patches {
+            let (rays, by_place, by_axis) = patch.density(&self.place, self.lattice, &self.axis);
+            let row: SVector<f64, 7> = SVector::from_iterator(by_place.iter().chain(&by_axis).copied().chain([-1.0]));
+            let weight = robust(rays - self.log).1;
+            squares += weight * row * row.transpose();
+            gradient += weight * (rays - self.log) * row;
+        }
+        (squares, gradient)
+    }
+
     /// The best fit near this one, by the Levenberg–Marquardt method.
     fn improved(&self, patches: &[impl Patch], max_steps: usize) -> Self {
         let (mut best, mut damping) = (*self, 1e-3);
         for _ in 0..max_steps {
-            let (mut squares, mut gradient) = (SMatrix::<f64, 7, 7>::identity() * 1e-9, SVector::<f64, 7>::zeros());
-            for patch in patches {
-                let (rays, by_place, by_axis) = patch.density(&best.place, best.lattice, &best.axis);
-                let row: SVector<f64, 7> =
-                    SVector::from_iterator(by_place.iter().chain(&by_axis).copied().chain([-1.0]));
-                let weight = robust(rays - best.log).1;
-                squares += weight * row * row.transpose();
-                gradient += weight * (rays - best.log) * row;
-            }
+            let (squares, gradient) = best.normal_equations(patches);
             let before = best.cost;
             while best.cost == before && damping < 1e6 {
                 let damped = squares + SMatrix::from_diagonal(&(damping * squares.diagonal()));
@@ -397,8 +488,7 @@ impl Fit {
     }
 }
 
-/// The best place. The search starts from a grid around the cloud with some densities and ends with all. A scanner rotates about
-/// a principal axis of its surroundings, mostly the vertical.
+/// The best place. The search starts from a grid around the cloud with some densities and ends with all.
 fn search(densities: &[Density], points: &[Vector]) -> Fit {
     let (center, radius) = middle(points);
     let reach = REACH * radius;
@@ -412,10 +502,9 @@ fn search(densities: &[Density], points: &[Vector]) -> Fit {
     starts.sort_by(by_cost);
     let fits = starts[..STARTS].iter().map(|start| start.improved(&few, MAX_STEPS));
     let best = fits.min_by(by_cost).unwrap_or(starts[0]);
-    let turning = axes(densities).map(|axis| (Lattice::Turning, axis));
-    let lattices = turning.into_iter().chain([(Lattice::Image, (center - best.place).normalize())]);
-    let fits = lattices.map(|(lattice, axis)| Fit::at(&few, best.place, lattice, axis).improved(&few, MAX_STEPS));
-    let best = fits.filter(|fit| fit.cost < LATTICE_COST * best.cost).min_by(by_cost).unwrap_or(best);
+    let ahead = (center - best.place).normalize();
+    let image = Fit::at(&few, best.place, Lattice::Image, ahead).improved(&few, MAX_STEPS);
+    let best = if image.cost < LATTICE_COST * best.cost { image } else { best };
     Fit::at(&all, best.place, best.lattice, best.axis).improved(&all, MAX_STEPS)
 }
 
@@ -511,6 +600,15 @@ mod tests {
             assert!(off.norm() < 0.03 && sensor.visible > 0.95, "{sensor:?}");
         }
         assert_eq!(Sensor::find(&EYES.map(scan).concat()), None);
+    }
+
+    #[test]
+    fn few_beams_tell_where_they_rotate() {
+        let sweep = |eye| scan(eye).chunks(300).step_by(6).flatten().copied().collect::<Vec<Point>>();
+        let sensor = Sensor::find(&sweep(EYES[0])).unwrap();
+        let off = Vector::from(sensor.position) - Vector::from(EYES[0]) - SITE;
+        assert!(off.norm() < 1e-3, "{sensor:?}");
+        assert_eq!(Sensor::find(&EYES.map(sweep).concat()), None);
     }
 
     #[test]

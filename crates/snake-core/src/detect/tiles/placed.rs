@@ -131,7 +131,8 @@ impl PlacedDetector {
             let candidate = |(&position, &saliency)| {
                 let cell = self.voxel(&position)?;
                 let (covariance, rank, start) = (Covariance::UNKNOWN, saliency, saliency);
-                let confidence = self.network.confidence(saliency, [f32::INFINITY; 3], self.voxel_size);
+                let confidence =
+                    self.network.confidence(saliency, [f32::INFINITY; 3], self.voxel_size, self.radii.reach);
                 Ok(Candidate { position, saliency, occupancy: 0.0, confidence, covariance, rank, start, cell })
             };
             Ok((positions.iter().zip(scores.iter()).map(candidate).collect::<Result<_>>()?, counts))
@@ -150,7 +151,8 @@ impl PlacedDetector {
             let localized = |(candidate, place): (Candidate, Place)| {
                 let Place { position, covariance, deviations, .. } = place;
                 let rank = place.rank(candidate.saliency);
-                let confidence = self.network.confidence(candidate.saliency, deviations, self.voxel_size);
+                let confidence =
+                    self.network.confidence(candidate.saliency, deviations, self.voxel_size, self.radii.reach);
                 Candidate { position, confidence, covariance, rank, ..candidate }
             };
             let drops_rows = self.options.detect.min_confidence.is_some();
