@@ -14,6 +14,7 @@ import made_pairs
 import registration
 import speed
 
+import snake_rs
 from snake_training.detection import DetectOptions
 from snake_training.model import NetworkConfig
 
@@ -45,6 +46,14 @@ def test_confusion_counts_each_pair_once(compiled, monkeypatch, capsys):
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
     counts = {name: list(map(int, row)) for name, *row in rows[1:]}
     assert [sum(row) for row in counts.values()] == [1, 1, 2] and counts["all made"][2] == 0
+
+
+@pytest.mark.parametrize("kind", ["corners", "house"])
+def test_bare_corners_never_tell_a_transform(kind):
+    pair = made_pairs.make(kind, 1)
+    found = snake_rs.register(pair.source, pair.target)
+    assert not pair.is_right(found.t_target_source) and found.verdict.is_ambiguous and not found.verdict.is_reliable
+    assert any("only a few planes" in note for note in found.verdict.notes)
 
 
 @pytest.mark.parametrize("kind", ["slope", "lobby", "two rooms"])

@@ -327,6 +327,23 @@ def lobby(rng) -> Pair:
     return twice(world, poses, lidar(48, 400, -60, 60), rng, 0.006, 30.0)
 
 
+def corners(rng) -> Pair:
+    """Opposite corners of a bare room, seen by a depth camera in its middle."""
+    size = rng.uniform([5, 4, 2.5], [8, 6, 3])
+    look = np.degrees(np.arctan2(size[1], size[0])) + rng.uniform(-5, 5)
+    at = lambda: [*(size[:2] / 2 + rng.uniform(-0.3, 0.3, 2)), 1.0]
+    return twice(hall([0, 0, 0], size), [pose(at(), look), pose(at(), look + 180)], camera(), rng, 0.004, 10.0)
+
+
+def house(rng) -> Pair:
+    """A plain house from two corners, next to each other or opposite."""
+    world, size, degrees = open_ground(), rng.uniform([10, 6, 5], [14, 8, 7]), rng.uniform(37, 53)
+    box(world, [0, 0, size[2] / 2], size)
+    corner = lambda degrees: pose(yaw(degrees) @ [rng.uniform(12.5, 15.5), 0, 1.7], rng.uniform(0, 360))
+    poses = [corner(degrees), corner(degrees + rng.choice([90, 180]))]
+    return twice(world, poses, lidar(75, 400, -40, 35), rng, 0.005, 25.0)
+
+
 def apart(rng, *kinds) -> Pair:
     """Two scans of two worlds: no transform is right."""
     return Pair(*(kind(rng).source for kind in kinds), [])
@@ -339,6 +356,8 @@ KINDS = {make.__name__: make for make in NAMED} | {
     "two streets": lambda rng: apart(rng, street, street),
     "room and street": lambda rng: apart(rng, camera_room, street),
     "far along a street": lambda rng: street(rng, 60, 100, metres=2.0),
+    "corners": corners,
+    "house": house,
 }
 
 

@@ -195,6 +195,9 @@ impl FineCloud {
 
 /// Planar patches that both clouds share.
 pub(crate) struct Overlap {
+    /// Points of the source near the target, with the normals of their patches or the target's, and the distance at which a plane lies
+    /// apart.
+    pub(crate) places: Vec<(Place, f64)>,
     /// Points of the source, each with the mean plane of its patch and of the patch at the nearest
     /// target point.
     pub(crate) patches: Vec<PlanePair>,
@@ -218,6 +221,14 @@ pub(crate) fn overlap(
         let (nearest, distance) = *target.cloud.nearest(&point, NonZeroUsize::MIN).first()?;
         (distance <= max_distance).then_some((index, point, nearest))
     };
+    let apart = |thickness: f64| (APART * thickness).max(MIN_APART * max_distance);
+    let place = |(index, point, nearest): (usize, Vector, usize)| {
+        let own = source.surroundings(index).patch;
+        let own = own.map(|patch| Patch { normal: transform.rotation * patch.normal, ..patch });
+        let patch = own.or(target.surroundings(nearest).patch);
+        let place = Place { point, normal: patch.map(|patch| patch.normal) };
+        (place, patch.map_or(max_distance, |patch| apart(patch.thickness)))
+    };
     let pair = |(index, point, nearest): (usize, Vector, usize)| {
         let patches = [source.surroundings(index).patch?, target.surroundings(nearest).patch?];
         let [a, b] = [transform.rotation * patches[0].normal, patches[1].normal];
@@ -226,8 +237,7 @@ pub(crate) fn overlap(
         let thickness = patches[0].thickness.hypot(patches[1].thickness);
         let thin = (patches.iter().all(|patch| patch.is_thin) && cosine.abs() > AGREEING_COSINE).then(|| {
             let distance = normal.dot(&(target.cloud.points[nearest] - point));
-            let is_apart = distance.abs() > (APART * thickness).max(MIN_APART * max_distance);
-            (PlanePair { point, normal, distance }, is_apart)
+            (PlanePair { point, normal, distance }, distance.abs() > apart(thickness))
         });
         let (mean, noise) = (moved(transform, &patches[0].mean), thickness.max(MIN_NOISE * target.side));
         let distance = normal.dot(&(patches[1].mean - mean)) / noise;
@@ -236,12 +246,13 @@ pub(crate) fn overlap(
     };
     let step = source.cloud.points.len().div_ceil(SAMPLES);
     let indices = (0..source.cloud.points.len()).step_by(step);
-    let pairs = some_in_parallel(indices, |index| near(index).map(pair));
+    let pairs = some_in_parallel(indices, |index| near(index).map(|near| (place(near), pair(near))));
+    let (places, pairs): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
     let count = pairs.len().max(1) as f64;
     let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
     let (patches, are_apart): (Vec<PlanePair>, Vec<bool>) = thin.into_iter().flatten().unzip();
     let weighed = weighed.into_iter().flatten().collect();
-    Overlap { planar: patches.len() as f64 / count, patches, are_apart, weighed }
+    Overlap { places, planar: patches.len() as f64 / count, patches, are_apart, weighed }
 }
 
 impl Overlap {

@@ -4,6 +4,7 @@ mod alike;
 mod comparison;
 mod constants;
 mod constraint;
+mod corner;
 mod evidence;
 mod open_motions;
 mod repeats;
@@ -29,6 +30,7 @@ use crate::steps::matches::{Match, inliers};
 use crate::steps::pair::Pair;
 use crate::steps::refine::{Candidate, refine};
 use constraint::Constraint;
+use corner::corner_note;
 use evidence::{Evidence, is_rival};
 use rival::Rival;
 use rivals::rivals;
@@ -88,7 +90,7 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 ///
 /// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
 /// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
-/// rivals follow the best in `hypotheses`. A part of the scene that moved as a whole, and surfaces along one axis that lie apart, do
+/// rivals follow the best in `hypotheses`. So do a few planes that are all that the clouds share. A part of the scene that moved as a whole, and surfaces along one axis that lie apart, do
 /// the same if the sensors would stand at one place. A mirror image that fits better also makes it not reliable.
 ///
 /// # Errors
@@ -122,19 +124,20 @@ pub fn challenge(
     if !(verdict.is_reliable || verdict.is_ambiguous || is_standing) {
         return Ok(());
     }
-    let moved =
-        if is_standing { [together_note(pair, transform)?, apart_note(pair, transform)?] } else { [None, None] };
-    let moved: Vec<String> = moved.into_iter().flatten().collect();
+    let mut notes: Vec<String> = corner_note(pair, transform)?.into_iter().collect();
+    if is_standing {
+        notes.extend([together_note(pair, transform)?, apart_note(pair, transform)?].into_iter().flatten());
+    }
     equal.retain(Rival::is_equal);
-    if equal.is_empty() && moved.is_empty() {
+    if equal.is_empty() && notes.is_empty() {
         return Ok(());
     }
     verdict.confidence = (verdict.confidence / 2.0).min(MAX_DOUBTFUL);
     verdict.is_reliable = false;
-    verdict.is_ambiguous |= !moved.is_empty() || equal.iter().any(|rival| !rival.is_mirrored());
-    // Finer voxels would not tell which part moved.
-    let at_rest = if moved.is_empty() { 0.0 } else { 1.0 };
-    verdict.notes.splice(0..0, moved);
+    verdict.is_ambiguous |= !notes.is_empty() || equal.iter().any(|rival| !rival.is_mirrored());
+    // Finer voxels would not tell which part moved, or which corner it is.
+    let at_rest = if notes.is_empty() { 0.0 } else { 1.0 };
+    verdict.notes.splice(0..0, notes);
     verdict.repeat_fit = equal.iter().map(Rival::repeat_fit).fold(at_rest, f64::max);
     // Shifts are last in the list, and notes name them first.
     verdict.notes.splice(0..0, equal.iter().rev().take(MAX_NOTES).map(|rival| rival.note(transform)));
