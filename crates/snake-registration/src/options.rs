@@ -65,10 +65,10 @@ options! {
     pub struct PairOptions {
         /// Position of the sensor in the source's frame.
         source_viewpoint, with_source_viewpoint: Option<[f64; 3]> = None,
-            none "the frame's origin, if most of the cloud is visible from there";
+            none "its place as the points tell it, if they do";
         /// Position of the sensor in the target's frame.
         target_viewpoint, with_target_viewpoint: Option<[f64; 3]> = None,
-            none "the frame's origin, if most of the cloud is visible from there";
+            none "its place as the points tell it, if they do";
         /// Guess of `t_target_source`, four rows of four numbers. It is refined, and no other
         /// transform is searched for.
         initial, with_initial: Option<RigidTransform> = None, none "a search";

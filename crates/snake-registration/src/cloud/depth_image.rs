@@ -82,19 +82,6 @@ impl DepthImage {
         }
     }
 
-    /// Whether a patch lies in front of the surfaces in the pixels about it, by more than it varies within a pixel.
-    pub(crate) fn is_ahead(&self, point: &Vector, normal: &Vector) -> bool {
-        let (row, azimuth, depth) = self.direction(point);
-        let cosine = normal.dot(&(point - self.viewpoint)) / depth;
-        let varies = self.slant * self.pixel * depth * (cosine.powi(-2) - 1.0).sqrt().max(1.0);
-        let mut firsts = (row - 1..=row + 1).flat_map(|row| {
-            let column = self.column(row, azimuth);
-            (column - 1..=column + 1).filter_map(move |column| self.depths.get(&[row, column]))
-        });
-        let is_ahead = |first: &f64| depth < first - self.margin - varies;
-        firsts.next().is_some_and(is_ahead) && firsts.all(is_ahead)
-    }
-
     /// The share of the points, 0 to 1, that lie on the first surface.
     pub(crate) fn visible_share(&self, points: &[Vector]) -> f64 {
         let visible = points.iter().filter(|point| self.sight(point) == Sight::Surface).count();
@@ -135,16 +122,5 @@ mod tests {
         let edge = Vector::new(3.5, 0.03, 0.02);
         assert_eq!([coarse.sight(&edge), fine.sight(&edge)], [Sight::Free, Sight::Hidden]);
         assert!(walls().iter().all(|point| fine.sight(point) != Sight::Free));
-    }
-
-    #[test]
-    fn a_patch_is_ahead_of_all_that_its_pixels_see_and_not_along_the_line_of_sight() {
-        let image = DepthImage::new(&walls(), Vector::zeros(), 0.1, SHARP);
-        let is_ahead = |x: f64, y: f64, normal: Vector| image.is_ahead(&Vector::new(x, y, 0.02), &normal);
-        assert!(is_ahead(4.0, 1.0, Vector::x()) && is_ahead(2.0, -0.7, Vector::x()));
-        assert!(!is_ahead(4.95, 1.0, Vector::x()) && !is_ahead(3.5, -0.03, Vector::x()));
-        assert!(!is_ahead(4.0, 1.0, Vector::new(1.0, -4.0, 0.0).normalize()));
-        // Nothing is seen there.
-        assert!(!is_ahead(-4.0, 1.0, Vector::x()));
     }
 }

@@ -261,13 +261,6 @@ impl Overlap {
         self.planar >= MIN_PLANAR
     }
 
-    /// The median distance of the patches; 0 without any.
-    pub(crate) fn residual(&self) -> f64 {
-        let mut distances: Vec<f64> = self.patches.iter().map(|patch| patch.distance.abs()).collect();
-        let middle = distances.len() / 2;
-        if distances.is_empty() { 0.0 } else { *distances.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    }
-
     /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].
     pub(crate) fn apart(&self) -> f64 {
         self.apart_of(MIN_PAIRS, |_| true)

@@ -217,7 +217,7 @@ fn single_matches_find_more_pairs_of_low_overlap() {
     for seed in [7, 9, 11, 12] {
         let ([source, target], truth) = sectors(seed);
         let (options, control) = (RegisterOptions::default(), Control::default());
-        let prepared = steps::prepare(&[&source, &target], &[], None, &options, &control).unwrap();
+        let prepared = steps::prepare(&[&source, &target], &[Some([0.0; 3]); 2], None, &options, &control).unwrap();
         let pair = Pair::new(&prepared.clouds[0], &prepared.clouds[1], None);
         let is_right = [Effort::Usual, Effort::Thorough].map(|effort| {
             let one = Search::new(&pair, &options, &PairOptions::default(), effort, &control).register().unwrap();

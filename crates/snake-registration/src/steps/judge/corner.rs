@@ -9,9 +9,9 @@ use snake_geometry::{Vector, eigen};
 
 /// Number of planes that look like others: a corner with the floor and the ceiling.
 const PLANES: usize = 4;
-/// Largest share of the shared places that lie on them, given their thickness. Corners of bare rooms, plain houses, cartons and cupboards
-/// have 0.97 to 1; right and reliable answers in real rooms up to 0.90.
-const MAX_ON_PLANES: f64 = 0.94;
+/// Smallest share of the shared places that lie off these planes, given their thickness, and on the target. Corners of bare rooms, plain
+/// houses, cartons and cupboards have 0 to 0.034; right and reliable answers in real rooms 0.043 and more.
+const MIN_TELLING: f64 = 0.035;
 /// A place on a plane has a normal at least this parallel to it. It is low because of noise.
 const PARALLEL: f64 = 0.7;
 /// Number of places that propose planes, and number of places that choose among them, at most.
@@ -23,10 +23,11 @@ const FITS: usize = 3;
 /// A plane: a point and the normal.
 type Plane = (Vector, Vector);
 
-/// A note if the places that the clouds share lie on so few planes.
+/// A note if hardly any place that the clouds share lies off so few planes.
 pub(super) fn corner_note(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<String>> {
-    let distance = NEAR * pair.criteria().inlier_distance;
-    let mut places = overlap(pair.fine()?, transform, distance).places;
+    let (fine, inlier_distance) = (pair.fine()?, pair.criteria().inlier_distance);
+    let distance = NEAR * inlier_distance;
+    let mut places = overlap(fine, transform, distance).places;
     let (count, step) = (places.len() as f64, places.len().div_ceil(PROPOSED).max(1));
     let plane = |(place, _): &(Place, f64)| Some((place.point, place.normal?));
     let proposed: Vec<Plane> = places.iter().step_by(step).filter_map(plane).collect();
@@ -34,7 +35,8 @@ pub(super) fn corner_note(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Resu
         let Some(plane) = most_frequent(&places, &proposed, distance) else { return Ok(None) };
         places.retain(|(place, apart)| !is_on(place, &plane, *apart));
     }
-    let is_corner = count * (1.0 - MAX_ON_PLANES) > places.len() as f64;
+    let lies_on = |(place, _): &&(Place, f64)| fine[1].lies_on(place, inlier_distance) == Some(true);
+    let is_corner = (places.iter().filter(lies_on).count() as f64) < MIN_TELLING * count;
     let note = "ambiguous: the clouds share only a few planes, and any corner of a room or a house looks like that; scan more of \
                 what stands there, or give `initial`";
     Ok(is_corner.then(|| note.into()))

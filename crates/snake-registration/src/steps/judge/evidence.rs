@@ -18,9 +18,6 @@ const MIN_MATCH_SPREAD: f64 = 0.25;
 /// Largest share of patches within the inlier distance that lie apart relative to their thickness. Slopes of which one half
 /// slid have 0.26 to 0.8; those below 0.35 show other signs. Correct ones have 0.0 to 0.13, in fused rooms up to 0.33.
 const MAX_APART: f64 = 0.35;
-/// Largest share of the telling places that the other sensor saw through. Wrong half turns of cars, houses and blocks
-/// have 0.016 to 0.15, right answers, drifting rooms among them, up to 0.003.
-const MAX_SEEN_THROUGH: f64 = 0.01;
 /// Bias of the logistic regression. Unit: log-odds. It is 3.2 below the fitted bias, so that a
 /// confidence of 0.5 is a probability of about 0.95.
 const BIAS: f64 = -8.5;
@@ -56,8 +53,6 @@ pub(super) struct Evidence<'a> {
     pub(super) weakest_constraint: f64,
     /// Share of the patches that lie apart relative to their thickness.
     pub(super) apart: f64,
-    /// Share of the telling places that the other sensor saw through.
-    pub(super) seen_through: f64,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
     /// The lead of the transform's score over that of the next, if single matches were compared.
@@ -98,10 +93,6 @@ impl Evidence<'_> {
 
     fn lies_apart(&self) -> bool {
         self.apart > MAX_APART
-    }
-
-    fn is_seen_through(&self) -> bool {
-        self.seen_through > MAX_SEEN_THROUGH
     }
 
     fn has_flat_matches(&self) -> bool {
@@ -154,7 +145,7 @@ impl Evidence<'_> {
         let unrivalled = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival {
             (unrivalled / 2.0).min(MAX_DOUBTFUL)
-        } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() || self.is_seen_through() {
+        } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() {
             unrivalled.min(MAX_DOUBTFUL)
         } else {
             unrivalled
@@ -185,13 +176,6 @@ impl Evidence<'_> {
         }
         if self.lies_apart() {
             notes.push("the surfaces lie apart: they are thinner than the distance between them".into());
-        }
-        if self.is_seen_through() {
-            notes.push(format!(
-                "one sensor saw through {:.1} % of what tells the transform in the other cloud: a part of the scene moved, or \
-                 the transform is wrong",
-                100.0 * self.seen_through
-            ));
         }
         if notes.is_empty() && self.confidence() < RELIABLE {
             let worst = self.terms().max_by(|a, b| a.missing().total_cmp(&b.missing()));
@@ -228,7 +212,6 @@ mod tests {
             open_motions: String::new(),
             weakest_constraint: 0.03,
             apart: 0.0,
-            seen_through: 0.0,
             has_rival: false,
             lead: None,
         };
@@ -242,8 +225,7 @@ mod tests {
         let (usual, _) = changed(|_, _, _| ());
         assert!(usual > 0.9, "{usual}");
         type Change = fn(&mut Fit, &mut Matches, &mut Evidence);
-        let worse: [(&str, Change); 9] = [
-            ("seen through", |_, m, e| (m.num_agreeing, e.seen_through) = (9999, 0.02)),
+        let worse: [(&str, Change); 8] = [
             ("few matches", |_, m, e| {
                 (m.num_agreeing, m.spread, e.slide_margin) = (9, 0.9, 9.0);
             }),
@@ -281,7 +263,6 @@ mod tests {
         assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
         assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
         assert!(note(|_, _, e| e.apart = 0.4).contains("lie apart"));
-        assert!(note(|_, _, e| e.seen_through = 0.2).contains("saw through 20.0 %"));
         assert!(note(|_, _, e| e.violation = 0.2).contains("above all because 20.0 % of the voxels"));
         assert!(note(|_, m, e| (m.num_agreeing, e.slide_margin) = (10, 0.0)).contains("because"));
     }

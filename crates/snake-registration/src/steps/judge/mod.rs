@@ -12,7 +12,6 @@ mod rival;
 mod rivals;
 mod scale;
 mod shifts;
-mod sight;
 mod slide;
 mod standing;
 mod together;
@@ -36,7 +35,6 @@ use rival::Rival;
 use rivals::rivals;
 pub(crate) use scale::best_scale;
 use scale::better_scale;
-use sight::seen_through;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
@@ -90,8 +88,9 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 ///
 /// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
 /// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
-/// rivals follow the best in `hypotheses`. So do a few planes that are all that the clouds share. A part of the scene that moved as a whole, and surfaces along one axis that lie apart, do
-/// the same if the sensors would stand at one place. A mirror image that fits better also makes it not reliable.
+/// rivals follow the best in `hypotheses`. So does an overlap of a few planes. A part of the scene that moved as a whole, and
+/// surfaces along one axis that lie apart, do the same if the sensors would stand at one place. A mirror image that fits better
+/// also makes it not reliable.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -167,7 +166,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
             rivals.any(|rival| is_rival((&rival.agreement, agreeing(rival)), winner))
         }
     };
-    let mut evidence = Evidence {
+    let evidence = Evidence {
         fit,
         matches: counts,
         violation: Surface::fine_violation(surfaces, transform),
@@ -175,14 +174,10 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         num_open: constraint.open.ncols(),
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
-        seen_through: 0.0,
         apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
         has_rival,
         lead,
     };
-    if evidence.confidence() >= RELIABLE {
-        evidence.seen_through = seen_through(pair, transform, &overlap)?;
-    }
     let confidence = evidence.confidence();
     Ok(Verdict {
         confidence,
