@@ -118,15 +118,18 @@ def isotonic(values, weights):
 
 
 def fit(scores, hits, weights, number=40):
-    """At most `number` knots (K, 2) of score and probability: scores in bins of equal weight, isotonic."""
+    """At most `number` rising knots (K, 2) of score and probability: scores in bins of equal weight, isotonic; bins of one
+    probability are joined."""
     order = scores.argsort()
     share = np.cumsum(weights[order]) / weights.sum()
     bins = np.minimum((share * number).astype(int), number - 1)
     mean = lambda values, of: (values * of).sum() / of.sum()
     rows = [order[bins == one] for one in range(number) if (bins == one).any()]
-    score = np.array([mean(scores[row], weights[row]) for row in rows])
-    probability = isotonic([mean(hits[row], weights[row]) for row in rows], [weights[row].sum() for row in rows])
-    knots = [[round(float(s), 4), round(float(p), 4)] for s, p in zip(score, probability, strict=True)]
+    found = isotonic([mean(hits[row], weights[row]) for row in rows], [weights[row].sum() for row in rows])
+    knots = []
+    for probability in np.unique(found):
+        row = np.concatenate([row for row, one in zip(rows, found, strict=True) if one == probability])
+        knots.append([round(float(mean(scores[row], weights[row])), 4), round(float(probability), 4)])
     return [knot for knot, last in zip(knots, [None, *knots]) if last is None or knot[0] > last[0]]
 
 
