@@ -173,7 +173,8 @@ pub(crate) struct Radii {
     pub(crate) starts: f32,
 }
 
-/// A keypoint is found again within so many voxels, and in a scene within this share of its diagonal.
+/// A keypoint is found again within so many voxels, and in a scene within this share of its diagonal, as in
+/// `snake_training.confidence`.
 const REACH: f32 = 2.0;
 const REACH_OF_SCENE: f32 = 1.0 / 104.0;
 

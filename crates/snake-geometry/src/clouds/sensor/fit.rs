@@ -131,16 +131,16 @@ impl Fit {
         is_sensor.then_some(if is_origin { Vector::zeros() } else { fit.place })
     }
 
-    /// The largest standard deviation of the place along any direction.
+    /// The largest standard deviation of the place along any direction; infinite where the patches leave one open.
     pub(super) fn deviation(&self, patches: &[impl Patch]) -> f64 {
         let (squares, _) = self.normal_equations(patches);
         let weights = patches.iter().map(|patch| (self.residual(patch), robust(self.residual(patch)).1));
         let [sum, weight] =
             weights.fold([0.0; 2], |[sum, all], (residual, weight)| [sum + weight * residual * residual, all + weight]);
-        let covariance =
-            squares.try_inverse().unwrap_or_else(|| SMatrix::repeat(f64::INFINITY)).fixed_view::<3, 3>(0, 0)
-                * (sum / weight);
-        covariance.symmetric_eigenvalues().max().sqrt()
+        let covariance = squares.try_inverse().map(|inverse| inverse.fixed_view::<3, 3>(0, 0) * (sum / weight));
+        // The eigenvalues of a matrix that is not finite are never found.
+        let covariance = covariance.filter(|covariance| covariance.iter().all(|value| value.is_finite()));
+        covariance.map_or(f64::INFINITY, |covariance| covariance.symmetric_eigenvalues().max().sqrt())
     }
 
     /// The weighted squares and the gradient of the residuals.
