@@ -79,9 +79,13 @@ impl<'a> Progress<'a> {
         })?;
         for (pair, Registration { verdict, .. }) in alone.iter().filter(|(_, found)| !found.verdict.is_reliable) {
             let [source, target] = pair;
-            let words = format!("clouds {source} and {target} (from 0) are left out: {}", verdict.word());
-            let reason = verdict.notes.first().map(|note| format!(", {note}")).unwrap_or_default();
-            self.left_out.push((*pair, words + &reason));
+            let word = verdict.word();
+            let reason = match verdict.notes.first() {
+                Some(note) if note.starts_with(word) => note.clone(),
+                Some(note) => format!("{word}, {note}"),
+                None => word.into(),
+            };
+            self.left_out.push((*pair, format!("clouds {source} and {target} (from 0) are left out: {reason}")));
         }
         let kept = registered.into_iter().filter(|(pair, _)| !pairs.contains(pair));
         let mut all: Vec<Registered> = kept.chain(alone).collect();
