@@ -6,12 +6,10 @@ use std::ops::Range;
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen};
 
-use super::patches::{Bundle, Density, Lattice, MAX_SINE, Patch, Step};
+use super::patches::{Bundle, Density, Lattice, MAX_SINE, Patch, SCALE, Step};
 use super::{MIN_DENSITIES, median, middle, visible_share};
 use crate::{Neighbors, Point, Vector};
 
-/// Residuals of log densities up to about this count fully. In random samples they have a standard deviation of 0.25.
-pub(super) const SCALE: f64 = 0.35;
 /// A neighbourhood is parallel to a plane if the cosine of their normals is above this.
 const PARALLEL: f64 = 0.95;
 /// Number of places along each axis of the grid at which the search starts.

@@ -2,10 +2,11 @@
 
 use std::num::NonZeroUsize;
 
-use super::fit::SCALE;
 use super::{MAX_POINTS, mixed};
 use crate::{Neighbors, Point, Vector, eigen, vector};
 
+/// Residuals of log densities up to about this count fully. In random samples they have a standard deviation of 0.25.
+pub(super) const SCALE: f64 = 0.35;
 /// Maximum number of densities.
 const MAX_DENSITIES: usize = 1500;
 /// Number of nearest points for a density and a normal.
