@@ -10,7 +10,7 @@ MAX_LINES = {
     "crates/snake-cli": 6367,
     "crates/snake-core": 11825,
     "crates/snake-detectors": 1240,
-    "crates/snake-geometry": 5792,
+    "crates/snake-geometry": 5804,
     "crates/snake-io": 10573,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 10957,

@@ -194,13 +194,16 @@ mod tests {
     fn scan(eye: [f64; 3]) -> Vec<Point> {
         let seen = |index: u32| {
             let (elevation, azimuth) = (f64::from(index / 300) * 0.02 - 1.0, f64::from(index % 300) * 0.020_944);
-            let ray = [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()];
-            let wall =
-                |axis: usize| (if ray[axis] > 0.0 { [6.0, 4.5, 2.6][axis] } else { 0.0 } - eye[axis]) / ray[axis];
-            let range = (0..3).map(wall).fold(f64::INFINITY, f64::min);
-            (SITE + Vector::from(eye) + range * Vector::from(ray)).map(|v| v as f32).into()
+            hit(eye, [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()])
         };
         (0..300 * 100).map(seen).collect()
+    }
+
+    /// Where a ray meets the room's walls.
+    fn hit(eye: [f64; 3], ray: [f64; 3]) -> Point {
+        let wall = |axis: usize| (if ray[axis] > 0.0 { [6.0, 4.5, 2.6][axis] } else { 0.0 } - eye[axis]) / ray[axis];
+        let range = (0..3).map(wall).fold(f64::INFINITY, f64::min);
+        (SITE + Vector::from(eye) + range * Vector::from(ray)).map(|v| v as f32).into()
     }
 
     #[test]
@@ -220,6 +223,16 @@ mod tests {
         let off = Vector::from(sensor.position) - Vector::from(EYES[0]) - SITE;
         assert!(off.norm() < 1e-3, "{sensor:?}");
         assert_eq!(Sensor::find(&EYES.map(sweep).concat()), None);
+    }
+
+    #[test]
+    fn rows_of_an_image_are_no_beams() {
+        // Pixels along x, closer to each other in a row than in a column.
+        let pixel = |index: u32| [1.0, f64::from(index % 400) * 0.004 - 0.8, f64::from(index / 400) * 0.012 - 0.6];
+        let image: Vec<Point> = (0..400 * 100).map(|index| hit(EYES[0], pixel(index))).collect();
+        let off =
+            Sensor::find(&image).map(|sensor| (Vector::from(sensor.position) - Vector::from(EYES[0]) - SITE).norm());
+        assert!(off.is_none_or(|off| off < 0.1), "{off:?}");
     }
 
     #[test]
