@@ -44,7 +44,7 @@ pub use parallel::{Items, chunks_in_parallel, in_parallel, some_in_parallel, try
 pub use record::{Record, RecordField, RecordInfo, RecordKind, RecordValue};
 pub use source::{PointCloud2Layout, PointCloud2View, PointField, PointSource, SeparateAxes};
 pub use subset::{
-    Fate, by_falling_score, farthest_points, keep_apart, keep_in_order, nearest_points, sample, suppress,
+    Fate, by_falling_score, drawn, farthest_points, keep_apart, keep_in_order, lot, nearest_points, sample, suppress,
     suppress_ranked, suppress_seen, suppress_to_count,
 };
 #[doc(hidden)]

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use crate::cloud::{UsedCloud, drawn, quantile};
-use snake_geometry::{Neighbors, Point, vector};
+use crate::cloud::{UsedCloud, quantile};
+use snake_geometry::{Neighbors, Point, drawn, vector};
 
 /// Voxels of an object's volume along the diagonal of a cloud.
 const VOXELS: f64 = 32.0;
@@ -28,7 +28,7 @@ pub(super) fn note(cloud: &UsedCloud) -> Option<String> {
 
 /// The number of these voxels, and their side.
 fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
-    let points: Vec<Point> = drawn(cloud.points(), POINTS).collect();
+    let points: Vec<Point> = drawn(cloud.points(), POINTS);
     let range = |axis: usize| {
         let values = || points.iter().map(|point| f64::from(point[axis]));
         values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
@@ -46,7 +46,7 @@ fn voxels(cloud: &UsedCloud) -> Option<(usize, f64)> {
     if are_many || 2 * cells.len() > points.len() {
         return None;
     }
-    let centers: Vec<Point> = drawn(&points, CENTERS).collect();
+    let centers: Vec<Point> = drawn(&points, CENTERS);
     let median = |measure: &dyn Fn(&Point) -> f64| quantile(centers.iter().map(measure).collect(), 0.5);
     let squared = |a: &Point, b: &Point| (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>();
     let spacing = median(&|center| {

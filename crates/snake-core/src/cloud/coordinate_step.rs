@@ -1,7 +1,6 @@
 //! Coordinates that are multiples of a length, as float32 makes them far from zero.
 
-use super::samples::drawn;
-use snake_geometry::Point;
+use snake_geometry::{Point, drawn};
 
 /// Number of points that are measured.
 const MEASURED: usize = 4096;
@@ -13,7 +12,7 @@ const MIN_LEVELS: usize = 16;
 /// of the step within a thousandth of it or within float32 rounding, and at least [`MIN_LEVELS`] of them differ, but
 /// not all, as along a line of even points.
 pub(super) fn coordinate_step(points: &[Point]) -> Option<CoordinateStep> {
-    let measured: Vec<Point> = drawn(points, MEASURED).collect();
+    let measured: Vec<Point> = drawn(points, MEASURED);
     let step_of = |axis: usize| step(measured.iter().map(|point| point[axis]).collect()).map(|length| (axis, length));
     let (axis, length) = (0..3).filter_map(step_of).max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(CoordinateStep { axis, length })

@@ -1,7 +1,7 @@
 //! Haze: points in the air around a scene, as in splats and dense reconstructions from photographs.
 
-use super::samples::{drawn, quantile};
-use snake_geometry::{Point, PointTree};
+use super::quantile;
+use snake_geometry::{Point, PointTree, drawn};
 
 /// Number of points that are measured.
 const MEASURED: usize = 512;
@@ -15,7 +15,7 @@ const MIN_DIMENSION: f64 = 2.2;
 
 /// The share of isolated points of a cloud `(N, 3)`; `None` if they are few, or do not fill space but form a sparse surface.
 pub(super) fn haze(points: &[Point]) -> Option<f64> {
-    let measured: Vec<Point> = drawn(points, MEASURED).collect();
+    let measured: Vec<Point> = drawn(points, MEASURED);
     let spacings = spacings(&measured);
     let usual = quantile(spacings.clone(), 0.5);
     let alone = measured.iter().zip(&spacings).filter(|(_, spacing)| **spacing > ALONE * usual);

@@ -2,12 +2,10 @@
 
 mod coordinate_step;
 mod haze;
-mod samples;
 mod scene_signs;
 mod sweep;
 
 pub(crate) use self::coordinate_step::CoordinateStep;
-pub(crate) use self::samples::{drawn, quantile};
 pub use self::scene_signs::{NUM_SIGNS, scene_signs};
 
 use std::sync::OnceLock;
@@ -96,6 +94,12 @@ impl<'a> UsedCloud<'a> {
     pub(crate) fn into_finite(self) -> FinitePoints<'a> {
         self.finite
     }
+}
+
+/// The quantile of the values at a share in [0, 1]. There must be values.
+pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
+    let rank = (share * (values.len() - 1) as f64) as usize;
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
 #[cfg(test)]

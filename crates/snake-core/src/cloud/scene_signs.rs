@@ -7,8 +7,8 @@
 
 use nalgebra::Matrix3;
 
-use super::samples::{drawn, quantile};
-use snake_geometry::{Point, Vector, eigen, vector};
+use super::quantile;
+use snake_geometry::{Point, Vector, drawn, eigen, vector};
 
 /// The number of signs.
 pub const NUM_SIGNS: usize = 13;
@@ -49,7 +49,7 @@ const FARTHEST_SENSOR: f64 = 300.0;
 /// and how far the whole bulges toward it; the share of patches at edges, and how much more than others these face the direction
 /// in which the cloud bulges; and the root of the share of patches with surface on both sides of their planes, as things in a room have.
 pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SIGNS]> {
-    let drawn: Vec<Vector> = drawn(points, POINTS).map(vector).collect();
+    let drawn: Vec<Vector> = drawn(points, POINTS).into_iter().map(vector).collect();
     let surface = Surface::new(&drawn, viewpoint.into())?;
     let Surface { patches, side, connected, .. } = &surface;
     let number = patches.len() as f64;

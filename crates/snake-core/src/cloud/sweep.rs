@@ -1,7 +1,7 @@
 //! Sweeps: clouds that one sensor saw around itself.
 
-use super::samples::{drawn, quantile};
-use snake_geometry::Point;
+use super::quantile;
+use snake_geometry::{Point, drawn};
 
 /// Number of points that are measured.
 const MEASURED: usize = 1024;
@@ -17,7 +17,7 @@ const UNEVEN: f64 = 2.2;
 /// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor at its centre: dense near the sensor, and with
 /// points far beyond. Six of 2033 objects do.
 pub(super) fn is_sweep(points: &[Point]) -> bool {
-    let measured: Vec<Point> = drawn(points, MEASURED).collect();
+    let measured: Vec<Point> = drawn(points, MEASURED);
     if measured.len() < MEASURED / 4 {
         return false;
     }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::cube::VolumeFrame;
 use crate::Result;
-use snake_geometry::{CellGroups, Point, floor};
+use snake_geometry::{CellGroups, Point, floor, lot};
 
 /// Parts of a cell along each axis.
 const PARTS: usize = 3;
@@ -55,7 +55,7 @@ impl VoxelGroups {
             for &index in *members {
                 let point = points[index as usize];
                 let chosen = &mut chosen[part_of(point)];
-                if chosen.is_none_or(|other| lot(point) < lot(points[other as usize])) {
+                if chosen.is_none_or(|other| lot(&point) < lot(&points[other as usize])) {
                     *chosen = Some(index);
                 }
             }
@@ -134,11 +134,6 @@ impl VoxelGroups {
         let [start, end] = [voxels.start, voxels.end].map(|voxel| self.starts[voxel] as usize);
         self.members[start..end].iter().map(|&index| index as usize)
     }
-}
-
-/// A number that depends only on a point's coordinates, and on no direction.
-fn lot(point: Point) -> u64 {
-    point.iter().fold(0, |lot, v| (lot ^ u64::from(v.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32))
 }
 
 /// The part of its cell that contains a point.

@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use self::fit::{Fit, axes, cost_of_even, excess, search};
 use self::patches::{Density, Lattice};
+use crate::subset::mixed;
 use crate::{Neighbors, Point, Vector, vector};
 
 /// Maximum number of points among which neighbours are searched. With fewer, neighbourhoods are wider than furniture.
@@ -135,14 +136,6 @@ fn sample(points: &[Point]) -> Vec<Vector> {
     let random = |(index, stretch): (usize, &[Point])| vector(stretch[mixed(index as u64) as usize % stretch.len()]);
     let finite = |point: &Vector| point.iter().all(|v| v.is_finite());
     points.chunks(step).enumerate().map(random).filter(finite).collect()
-}
-
-/// A random number for a number: SplitMix64 by Steele, Lea and Flood.
-fn mixed(number: u64) -> u64 {
-    let mixed = number.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-    mixed ^ mixed >> 31
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

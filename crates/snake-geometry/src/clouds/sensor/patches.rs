@@ -2,7 +2,8 @@
 
 use std::num::NonZeroUsize;
 
-use super::{MAX_POINTS, mixed};
+use super::MAX_POINTS;
+use crate::subset::mixed;
 use crate::{Neighbors, Point, Vector, eigen, vector};
 
 /// Residuals of log densities up to about this count fully. In random samples they have a standard deviation of 0.25.
