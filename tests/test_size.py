@@ -8,9 +8,9 @@ ROOT = Path(__file__).parents[1]
 MAX_LINES = {
     "crates/snake-capi": 907,
     "crates/snake-cli": 6367,
-    "crates/snake-core": 11825,
+    "crates/snake-core": 11896,
     "crates/snake-detectors": 1240,
-    "crates/snake-geometry": 5804,
+    "crates/snake-geometry": 5845,
     "crates/snake-io": 10573,
     "crates/snake-kernels": 2976,
     "crates/snake-registration": 10957,

@@ -9,15 +9,16 @@
 //! keypoint moves by a gain that weighs the planes against the field; along an open direction it stays. The covariance includes
 //! the error of the field's position. The result depends only on the points near the keypoint, so tiles give the same bits.
 
+mod noise;
 mod patches;
 #[cfg(test)]
 mod tests;
 
 use std::borrow::Cow;
-use std::collections::HashSet;
 
 use nalgebra::{Matrix3, SymmetricEigen};
 
+use self::noise::is_noisy_plane;
 pub(crate) use self::patches::Patches;
 use self::patches::{Anchors, Sums};
 use crate::Result;
@@ -42,7 +43,10 @@ const FAINT: f32 = 0.5;
 /// Weight of the regularization that holds a keypoint in place, as a share of all weights.
 const HOLD: f64 = 0.02;
 /// Residual at which a patch's weight falls to a quarter, by round, as a share of the radius. It shrinks to exclude other surfaces.
-const TOLERANCES: [f64; 5] = [0.5, 0.35, 0.25, 0.15, 0.15];
+/// It also shrinks to some deviations of the residuals, down to the last value.
+const TOLERANCES: [f64; 5] = [0.5, 0.3, 0.2, 0.15, 0.15];
+const DEVIATIONS: f64 = 3.0;
+const MIN_TOLERANCE: f64 = 0.03;
 /// Standard deviation of a normal, in radians, at which the weight of its patch is halved.
 const TILT: f64 = 0.1;
 /// Ratio of the variances across and along a patch at which its weight falls to a quarter: such a patch lies across an edge.
@@ -60,17 +64,6 @@ const FIELD_BIAS: f64 = 0.3;
 const EDGE: [f32; 2] = [0.3, 0.6];
 /// The points within the radius form a wall if the ratio of their variances across and along is below this. An edge has 0.25.
 const WALL: f64 = 0.19;
-/// They also do up to the first ratio if that without noise is below the second. Walls with noise of 0.0015 z² have 0.12 to 0.25, and
-/// 0.01 without noise; most edges in real rooms have 0.05 to 0.3 without noise.
-const MAX_NOISE: f64 = 0.35;
-const RELIEF: f64 = 0.03;
-/// The two sides of a board are no noise: the kurtosis across it is below this. Noise has 3, two sides 1.
-const TWO_SIDES: f64 = 1.9;
-/// Side of the squares of a wall within which only noise varies, as a share of the radius, and their number along an axis.
-const SQUARE: f64 = 0.5;
-const SQUARES: usize = 8;
-/// Fewer points, beyond one in each square, do not show the noise.
-const MIN_REPEATED: f64 = 12.0;
 /// Number of points of an object that are used, at most.
 const MANY: usize = 8_192;
 /// Points are dense if a cell of patches has more than this many on average: their resolution is then about 0.35 voxels.
@@ -143,16 +136,13 @@ impl<'a> Surroundings<'a> {
             if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
         // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
-        let (mut anchors, repeated) = Anchors::of(&points, side, place)?;
-        if !repeated.is_empty() {
-            let mut seen = HashSet::new();
-            let is_again = |index: &u32| !seen.insert(points[*index as usize].map(f32::to_bits));
-            let again: HashSet<u32> = repeated.into_iter().filter(is_again).collect();
-            points =
-                (0..).zip(points.iter()).filter(|(index, _)| !again.contains(index)).map(|(_, point)| *point).collect();
-            anchors = Anchors::of(&points, side, place)?.0;
+        let (mut anchors, copies) = Anchors::of(&points, side, is_scene, place)?;
+        if !copies.is_empty() {
+            let once = (0..).zip(points.iter()).filter(|(index, _)| !copies.contains(index));
+            points = once.map(|(_, point)| *point).collect();
+            anchors = Anchors::of(&points, side, is_scene, place)?.0;
         }
-        Ok(Self { anchors: Anchors { is_scene, ..anchors }, points, radius })
+        Ok(Self { anchors, points, radius })
     }
 
     /// The planar patches of the points.
@@ -182,23 +172,31 @@ pub(crate) fn localize(patches: &Patches, keypoints: &[Point], scores: &[f32]) -
 }
 
 fn place(patches: &Patches, keypoint: Point, score: f32) -> Place {
-    let (mut around, mut points) = (Sums::default(), 0);
+    let place = located(patches, keypoint, score);
+    // Beside a corner, or where some points of a corner are missing, the surroundings look flat.
+    let is_wall = is_wall(patches, &keypoint) && is_wall(patches, &place.position);
+    Place { is_wall, ..place }
+}
+
+fn located(patches: &Patches, keypoint: Point, score: f32) -> Place {
+    let unknown = Place::unknown(keypoint);
+    let (mut cells, mut points) = (0, 0);
     patches.anchors.within(&keypoint, patches.radius, |anchor| {
-        around.add(&(vector(patches.anchors.points()[anchor]) - vector(keypoint)));
+        cells += 1;
         points += patches.counts[anchor];
     });
-    let is_flat = around.plane(0.0).is_some_and(|plane| plane.flatness < WALL);
-    let is_wall = is_flat || patches.is_scene && is_noisy_plane(&patches.samples_near(&keypoint), patches.radius);
-    let unknown = Place { is_wall, ..Place::unknown(keypoint) };
-    let is_sparse = patches.is_scene && f64::from(points) < MIN_DENSITY * around.count as f64;
+    let is_sparse = patches.is_scene && f64::from(points) < MIN_DENSITY * f64::from(cells);
     if is_sparse && score > FAINT {
         return unknown;
     }
-    let area = around.count.max(1) as f32 * (patches.side / patches.radius).powi(2);
+    let area = cells.max(1) as f32 * (patches.side / patches.radius).powi(2);
     let radius = patches.radius * (SMALL_AREA / area).sqrt().clamp(1.0, MAX_GROWTH);
-    let (mut at, mut last) = (keypoint, None);
+    let (mut at, mut last, mut residual) = (keypoint, None, f64::INFINITY);
     for tolerance in TOLERANCES {
-        let planes = Planes::near(patches, &at, radius, tolerance * f64::from(radius));
+        let length = f64::from(radius);
+        let tolerance = (tolerance * length).min((DEVIATIONS * residual).max(MIN_TOLERANCE * length));
+        let planes = Planes::near(patches, &at, radius, tolerance);
+        residual = planes.residual();
         let is_near = |nearest: &Vector| (nearest - vector(keypoint)).norm() <= f64::from(radius);
         let Some(nearest) = planes.nearest(&at).filter(is_near) else { return unknown };
         at = nearest.map(|v| v as f32).into();
@@ -208,33 +206,18 @@ fn place(patches: &Patches, keypoint: Point, score: f32) -> Place {
     let field_deviation = FIELD_DEVIATION[usize::from(!patches.is_scene)] * radius;
     let place = |(planes, nearest): (Planes, Vector)| planes.place(vector(keypoint), nearest, radius, field_deviation);
     let place = last.map_or(unknown, place);
-    Place { is_wall, corner: if is_sparse { 0.0 } else { place.corner }, ..place }
+    Place { corner: if is_sparse { 0.0 } else { place.corner }, ..place }
 }
 
-/// Whether noise explains how far points within a radius lie off their plane: within small squares of the plane they vary across it
-/// as much as in all. At edges and corners they vary less within squares, whatever the noise.
-fn is_noisy_plane(points: &[Vector], radius: f32) -> bool {
-    let (count, side) = (points.len() as f64, SQUARE * f64::from(radius));
-    let mean = points.iter().sum::<Vector>() / count;
-    let products: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
-    let SymmetricEigen { eigenvalues, eigenvectors } = products.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));
-    let (mut squares, mut within, mut fourth) = ([[0.0; 2]; SQUARES * SQUARES], 0.0, 0.0);
-    for point in points {
-        let [height, row, column] = order.map(|axis| eigenvectors.column(axis).dot(&(point - mean)));
-        let at = |offset: f64| (offset / side + 0.5 * SQUARES as f64).clamp(0.0, SQUARES as f64 - 1.0) as usize;
-        let [number, sum] = &mut squares[at(row) * SQUARES + at(column)];
-        (*number, *sum, within) = (*number + 1.0, *sum + height, within + height * height);
-        fourth += height.powi(4);
-    }
-    let occupied = squares.iter().filter(|[number, _]| *number > 0.0);
-    within -= occupied.clone().map(|[number, sum]| sum * sum / number).sum::<f64>();
-    let repeated = count - occupied.count() as f64;
-    let [across, width, _] = order.map(|axis| eigenvalues[axis]);
-    let has_two_sides = count * fourth < TWO_SIDES * across * across;
-    let is_noise = across / (count - 3.0) - within / repeated < RELIEF * width / count;
-    !has_two_sides && across < MAX_NOISE * width && repeated >= MIN_REPEATED && is_noise
+/// Whether the points around a position form a wall, or something that looks like a corner only because of its noise.
+fn is_wall(patches: &Patches, at: &Point) -> bool {
+    let mut around = Sums::default();
+    patches.anchors.within(at, patches.radius, |anchor| {
+        around.add(&(vector(patches.anchors.points()[anchor]) - vector(*at)));
+    });
+    let is_noisy = |radius| is_noisy_plane(&patches.samples_near(at, radius), radius);
+    around.plane(0.0).is_some_and(|plane| plane.flatness < WALL)
+        || patches.is_scene && (is_noisy(patches.radius) || patches.noisy_radius(at).is_some_and(is_noisy))
 }
 
 /// Weighted sums over the patches near a position, relative to it.
@@ -272,6 +255,11 @@ impl Planes {
         sums
     }
 
+    /// The standard deviation of the residuals.
+    fn residual(&self) -> f64 {
+        (self.squared_residual / self.weight).sqrt()
+    }
+
     /// The position nearest to the planes, where `at` is the origin of the sums; `None` without planes.
     fn nearest(&self, at: &Point) -> Option<Vector> {
         let system = self.normals / self.weight + Matrix3::identity() * HOLD;
@@ -282,7 +270,7 @@ impl Planes {
     /// The place of a keypoint after it moved towards `nearest` along the directions that the planes fix.
     fn place(&self, keypoint: Vector, nearest: Vector, radius: f64, field_deviation: f64) -> Place {
         let number = self.weight * self.own_weight / self.squared_weight;
-        let residual = (self.squared_residual / self.weight).sqrt().max(MIN_RESIDUAL * radius);
+        let residual = self.residual().max(MIN_RESIDUAL * radius);
         let SymmetricEigen { eigenvalues, eigenvectors } = (self.normals / self.weight).symmetric_eigen();
         let (mut position, mut variances, mut corner) = (keypoint, [f64::INFINITY; 3], f64::INFINITY);
         let mut deviations = [f32::INFINITY; 3];

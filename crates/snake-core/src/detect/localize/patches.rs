@@ -1,11 +1,13 @@
 //! Planar patches of a cloud. Each patch takes the number of points that makes its normal most certain.
 
+use std::collections::HashSet;
 use std::sync::OnceLock;
 
 use nalgebra::Matrix3;
 
 use super::{MAX_GROWTH, REACH};
 use crate::Result;
+use crate::cloud::quantile;
 use snake_geometry::{CellGroups, Point, RadiusCells, Vector, eigen, floor, vector};
 
 /// Numbers of nearest points that are tried for a patch; the one with the most certain normal is taken. Dense points,
@@ -32,6 +34,22 @@ const SEARCHED: [f32; 2] = [36.0, 144.0];
 
 /// Number of points of a cell that show how noisy a wall is, at most.
 const SAMPLES: usize = 4;
+
+/// Side of a block, in cells: two radii. Its smallest variance shows how noisy the points are.
+const BLOCK: i64 = 8;
+
+/// Fewer points of a block do not show the noise.
+const MIN_SAMPLES: usize = 12;
+
+/// The noise near a position is a low quantile of the standard deviations of the blocks within this many radii.
+const AROUND: f32 = 8.0;
+const QUIET: f64 = 0.1;
+
+/// Noise above this share of the radius makes walls look like corners within the radius.
+const NOISY: f32 = 0.05;
+
+/// Largest radius within which noise is asked for, in radii.
+const MAX_NOISY: f32 = 5.0;
 
 /// Newton's steps for an eigenvalue. About five are enough, unless two eigenvalues nearly coincide.
 const MAX_STEPS: usize = 20;
@@ -73,30 +91,51 @@ pub(super) struct Anchors {
     pub(super) counts: Vec<u32>,
     /// Up to [`SAMPLES`] points of each cell.
     pub(super) samples: Vec<Point>,
+    /// Means of the samples in each block of a scene, and their standard deviations across the plane through them.
+    pub(super) blocks: Vec<Point>,
+    pub(super) deviations: Vec<f32>,
     pub(super) is_scene: bool,
 }
 
 impl Anchors {
-    /// The first point of each cubic cell of a cloud. `place` maps a point to the frame of the cells. Copies of this point in its
-    /// cell are returned, too.
+    /// The point nearest to the mean of each cubic cell of a cloud. The order of the points does not count. `place` maps a point to
+    /// the frame of the cells. The indices of copies of other points are returned, too.
     ///
     /// # Errors
     /// [`crate::Error::Input`] for more points than [`u32::MAX`].
-    pub(super) fn of(points: &[Point], side: f32, place: impl Fn(Point) -> Point) -> Result<(Self, Vec<u32>)> {
-        let cells = CellGroups::new(points.iter().map(|point| place(*point).map(|v| floor(f64::from(v / side)))))?;
-        let mut anchors = Self { side, ..Self::default() };
+    pub(super) fn of(
+        points: &[Point],
+        side: f32,
+        is_scene: bool,
+        place: impl Fn(Point) -> Point,
+    ) -> Result<(Self, HashSet<u32>)> {
+        let cell = |point: &Point| place(*point).map(|v| floor(f64::from(v / side)));
+        let cells = CellGroups::new(points.iter().map(cell))?;
+        let mut anchors = Self { side, is_scene, ..Self::default() };
+        let (mut sorted, mut copies) = (Vec::new(), HashSet::new());
         for (_, members) in cells.iter() {
-            anchors.points.push(points[members[0] as usize]);
+            sorted.clear();
+            sorted.extend(members.iter().map(|&index| (points[index as usize].map(f32::to_bits), index)));
+            sorted.sort_unstable();
+            let places = sorted.iter().map(|(bits, _)| bits.map(f32::from_bits));
+            let mean = places.clone().map(vector).sum::<Vector>() / sorted.len() as f64;
+            let distance = |point: &Point| (vector(*point) - mean).norm_squared();
+            anchors.points.extend(places.clone().min_by(|a, b| distance(a).total_cmp(&distance(b))));
             anchors.counts.push(members.len() as u32);
-            let some = members.iter().step_by(members.len().div_ceil(SAMPLES));
-            anchors.samples.extend(some.map(|&index| points[index as usize]));
+            anchors.samples.extend(places.step_by(members.len().div_ceil(SAMPLES)));
+            copies.extend(sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1));
         }
-        let is_repeated = |members: &&[u32]| {
-            let mut others = members[1..].iter();
-            others.any(|&other| points[other as usize] == points[members[0] as usize])
-        };
-        let repeated = cells.iter().map(|(_, members)| members).filter(is_repeated).flatten().copied();
-        Ok((anchors, repeated.collect()))
+        if is_scene {
+            let blocks = CellGroups::new(anchors.samples.iter().map(|point| cell(point).map(|v| v.div_euclid(BLOCK))))?;
+            for (_, members) in blocks.iter().filter(|(_, members)| members.len() >= MIN_SAMPLES) {
+                let (mut sums, start) = (Sums::default(), vector(anchors.samples[members[0] as usize]));
+                members.iter().for_each(|&index| sums.add(&(vector(anchors.samples[index as usize]) - start)));
+                let (mean, covariance) = sums.moments();
+                anchors.blocks.push((start + mean).map(|v| v as f32).into());
+                anchors.deviations.push(eigen_of_plane(covariance).0[0].max(0.0).sqrt() as f32);
+            }
+        }
+        Ok((anchors, copies))
     }
 }
 
@@ -105,6 +144,8 @@ pub(crate) struct Patches<'a> {
     points: RadiusCells<'a>,
     /// Points of scenes that show how noisy walls are.
     samples: RadiusCells<'a>,
+    blocks: RadiusCells<'a>,
+    deviations: &'a [f32],
     /// Radii of the searches for points, ascending.
     searches: Vec<f32>,
     /// The radius within which patches determine a place.
@@ -130,6 +171,8 @@ impl<'a> Patches<'a> {
             points: RadiusCells::new(points, searches[0])?,
             searches,
             samples: RadiusCells::new(if anchors.is_scene { &anchors.samples } else { &[] }, radius)?,
+            blocks: RadiusCells::new(&anchors.blocks, AROUND * radius)?,
+            deviations: &anchors.deviations,
             anchors: RadiusCells::new(&anchors.points, MAX_GROWTH * radius)?,
             counts: &anchors.counts,
             is_scene: anchors.is_scene,
@@ -142,10 +185,19 @@ impl<'a> Patches<'a> {
         self.points.points()
     }
 
-    /// Some points within the radius of a position, relative to it.
-    pub(super) fn samples_near(&self, at: &Point) -> Vec<Vector> {
+    /// The radius within which walls near a position do not look like corners, if the noise makes it larger than usual.
+    /// The noise is that of the quietest blocks: bushes are as thick as noisy walls, but stand on ground.
+    pub(super) fn noisy_radius(&self, at: &Point) -> Option<f32> {
         let mut near = Vec::new();
-        self.samples.within(at, self.radius, |index| near.push(vector(self.samples.points()[index]) - vector(*at)));
+        self.blocks.within(at, AROUND * self.radius, |index| near.push(f64::from(self.deviations[index])));
+        let radius = quantile((!near.is_empty()).then_some(near)?, QUIET) as f32 / NOISY;
+        (radius > self.radius).then_some(radius.min(MAX_NOISY * self.radius))
+    }
+
+    /// Some points within a radius of a position, relative to it.
+    pub(super) fn samples_near(&self, at: &Point, radius: f32) -> Vec<Vector> {
+        let mut near = Vec::new();
+        self.samples.within(at, radius, |index| near.push(vector(self.samples.points()[index]) - vector(*at)));
         near
     }
 
@@ -219,11 +271,17 @@ impl Sums {
         self.products += offset * offset.transpose();
     }
 
+    /// The mean and the covariance.
+    fn moments(&self) -> (Vector, Matrix3<f64>) {
+        let mean = self.offsets / self.count as f64;
+        (mean, self.products / self.count as f64 - mean * mean.transpose())
+    }
+
     /// The least-squares plane, for an anchor with `in_cell` points in its cell; `None` for few points, and for points on a line.
     pub(super) fn plane(&self, in_cell: f64) -> Option<Patch> {
         let count = self.count as f64;
-        let mean = self.offsets / count;
-        let ([across, width, length], normal) = eigen_of_plane(self.products / count - mean * mean.transpose());
+        let (mean, covariance) = self.moments();
+        let ([across, width, length], normal) = eigen_of_plane(covariance);
         let is_plane = self.count >= MIN_POINTS && width > MIN_WIDTH * length;
         let flatness = across.max(0.0) / width;
         let tilt = (flatness / count).sqrt();

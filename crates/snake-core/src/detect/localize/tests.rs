@@ -27,7 +27,7 @@ fn corner(number: u32, spacing: f32, sigma: f32) -> Vec<Point> {
 }
 
 fn localized(points: &[Point], start: Point) -> Place {
-    let anchors = Anchors::of(points, SIDES[0] * 0.25, |point| point).unwrap().0;
+    let anchors = Anchors::of(points, SIDES[0] * 0.25, false, |point| point).unwrap().0;
     localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start], &[1.0])[0]
 }
 
@@ -38,7 +38,7 @@ fn distance(a: Point, b: Point) -> f32 {
 #[test]
 fn sparse_points_of_a_scene_localize_faint_keypoints_only() {
     let (points, start) = (corner(3, 0.05, 0.002), [0.05, 0.03, 0.04]);
-    let anchors = Anchors { is_scene: true, ..Anchors::of(&points, SIDES[0] * 0.25, |point| point).unwrap().0 };
+    let anchors = Anchors::of(&points, SIDES[0] * 0.25, true, |point| point).unwrap().0;
     let patches = Patches::new(&points, &anchors, 0.25).unwrap();
     let [faint, salient] = [0.4, 0.9].map(|score| localize(&patches, &[start], &[score])[0]);
     assert!(distance(faint.position, [0.0; 3]) < 0.02 && faint.corner == 0.0, "{faint:?}");
@@ -86,13 +86,14 @@ fn an_edge_leaves_one_direction_open_and_a_plane_two() {
 #[test]
 fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_and_boards_are_not() {
     let is_one_of_many = |points: &[Point], start| {
-        let anchors = Anchors { is_scene: true, ..Anchors::of(points, SIDES[0] * 0.25, |point| point).unwrap().0 };
+        let anchors = Anchors::of(points, SIDES[0] * 0.25, true, |point| point).unwrap().0;
         localize(&Patches::new(points, &anchors, 0.25).unwrap(), &[start], &[1.0])[0].is_one_of_many(0.05)
     };
     for (planes, sigma, start, expected) in [
         (1, 0.003, [0.5, 0.5, 0.03], true),
         (1, 0.03, [0.5, 0.5, 0.03], true),
         (1, 0.05, [0.5, 0.5, 0.03], true),
+        (1, 0.09, [0.5, 0.5, 0.03], true),
         (2, 0.003, [0.03, 0.5, 0.04], true),
         (3, 0.003, [0.03, 0.02, 0.04], false),
         (3, 0.05, [0.03, 0.02, 0.04], false),
@@ -122,8 +123,7 @@ fn points_as_sparse_as_cells_determine_nothing() {
     let start = [0.06, 0.05, -0.04];
     for (spacing, is_known) in [(0.052, false), (0.02, true)] {
         let points = corner(3, spacing, 0.003);
-        let cells = Anchors::of(&points, SIDES[0] * 0.25, |point| point).unwrap().0;
-        let anchors = Anchors { is_scene: true, ..cells };
+        let anchors = Anchors::of(&points, SIDES[0] * 0.25, true, |point| point).unwrap().0;
         let places = localize(&Patches::new(&points, &anchors, 0.25).unwrap(), &[start], &[1.0]);
         assert_eq!(places[0].covariance != Covariance::UNKNOWN, is_known, "{spacing}");
         assert_ne!(localized(&points, start).covariance, Covariance::UNKNOWN);
