@@ -64,6 +64,9 @@ const FIELD_BIAS: f64 = 0.3;
 const EDGE: [f32; 2] = [0.3, 0.6];
 /// The points within the radius form a wall if the ratio of their variances across and along is below this. An edge has 0.25.
 const WALL: f64 = 0.19;
+/// So few cells do not tell. The radius grows by these factors until there are more.
+const MIN_ANCHORS: usize = 12;
+const GROWTHS: [f32; 4] = [1.0, 1.6, 2.5, 4.0];
 /// Number of points of an object that are used, at most.
 const MANY: usize = 8_192;
 /// Points are dense if a cell of patches has more than this many on average: their resolution is then about 0.35 voxels.
@@ -212,9 +215,15 @@ fn located(patches: &Patches, keypoint: Point, score: f32) -> Place {
 /// Whether the points around a position form a wall, or something that looks like a corner only because of its noise.
 fn is_wall(patches: &Patches, at: &Point) -> bool {
     let mut around = Sums::default();
-    patches.anchors.within(at, patches.radius, |anchor| {
-        around.add(&(vector(patches.anchors.points()[anchor]) - vector(*at)));
-    });
+    for growth in GROWTHS {
+        around = Sums::default();
+        patches.anchors.within(at, growth * patches.radius, |anchor| {
+            around.add(&(vector(patches.anchors.points()[anchor]) - vector(*at)));
+        });
+        if around.count >= MIN_ANCHORS {
+            break;
+        }
+    }
     let is_noisy = |radius| is_noisy_plane(&patches.samples_near(at, radius), radius);
     around.plane(0.0).is_some_and(|plane| plane.flatness < WALL)
         || patches.is_scene && (is_noisy(patches.radius) || patches.noisy_radius(at).is_some_and(is_noisy))

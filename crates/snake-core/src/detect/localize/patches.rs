@@ -1,5 +1,6 @@
 //! Planar patches of a cloud. Each patch takes the number of points that makes its normal most certain.
 
+use std::cmp::Ordering;
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
@@ -115,9 +116,10 @@ impl Anchors {
         let (mut sorted, mut copies) = (Vec::new(), HashSet::new());
         for (_, members) in cells.iter() {
             sorted.clear();
-            sorted.extend(members.iter().map(|&index| (points[index as usize].map(f32::to_bits), index)));
-            sorted.sort_unstable();
-            let places = sorted.iter().map(|(bits, _)| bits.map(f32::from_bits));
+            sorted.extend(members.iter().map(|&index| (points[index as usize], index)));
+            // By coordinates, so that the order of the points does not count.
+            sorted.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+            let places = sorted.iter().map(|(point, _)| *point);
             let mean = places.clone().map(vector).sum::<Vector>() / sorted.len() as f64;
             let distance = |point: &Point| (vector(*point) - mean).norm_squared();
             anchors.points.extend(places.clone().min_by(|a, b| distance(a).total_cmp(&distance(b))));
