@@ -4,8 +4,8 @@ use serde_json::{Map, Value};
 
 use super::few_voxels;
 use crate::Builtin;
-use crate::cloud::{NUM_SIGNS, UsedCloud, scene_signs};
-use snake_geometry::Point;
+use crate::cloud::{NUM_SIGNS, UsedCloud, WITHIN, scene_signs};
+use snake_geometry::{Point, Sensor};
 
 /// The mean of each of [`scene_signs`], and its deviation, in units of which it is weighed up to [`LIMIT`].
 const MEANS: [f64; NUM_SIGNS] =
@@ -28,6 +28,10 @@ const WEIGHTS: [f64; NUM_SIGNS + NUM_SIGNS * (NUM_SIGNS + 1) / 2 + 1] = [
 
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
 const DOUBT: f64 = 1.5;
+
+/// In doubt, the sensor decides if it can be found: a cloud that was seen from within is a scene, and one that was seen from more
+/// than so many radii away is one object. Depth frames of rooms have 1.4 to 2.2.
+const APART: f64 = 3.0;
 
 /// Clouds whose surroundings are at most this broad are wires or curves, never scenes.
 const CURVE: f64 = 0.15;
@@ -53,7 +57,15 @@ pub(super) fn by_cloud(cloud: &UsedCloud, viewpoint: [f64; 3]) -> (Builtin, Opti
     if let Some(note) = few_voxels::note(cloud) {
         return (Builtin::Scenes, Some(note));
     }
-    let score = if cloud.is_sweep() { f64::INFINITY } else { scene_score(cloud.points(), viewpoint) };
+    let mut score = if cloud.is_sweep() { f64::INFINITY } else { scene_score(cloud.points(), viewpoint) };
+    if score.abs() <= DOUBT {
+        let away = Sensor::find(cloud.points()).map(|sensor| sensor.radii_away(cloud.points()));
+        score = match away {
+            Some(away) if away < WITHIN => f64::INFINITY,
+            Some(away) if away > APART => -score.abs(),
+            _ => score,
+        };
+    }
     let (which, kind, named, other) = if score > 0.0 {
         (Builtin::Scenes, "a scene", Builtin::Compact, "one object")
     } else {
@@ -116,6 +128,24 @@ pub(super) mod tests {
         let (sin, cos) = angle.sin_cos();
         let rotated = |p: Point| [cos * p[0] - sin * p[1], sin * p[0] + cos * p[1], p[2]].map(|v| v * unit);
         walls.chain(boxes).map(rotated).collect()
+    }
+
+    #[test]
+    fn an_empty_room_is_a_scene_if_its_sensor_is_found_within() {
+        let beam = |i: usize| {
+            let (azimuth, elevation) = ((i / 60) as f64 * 0.0314, ((i % 60) as f64 * 2.5 - 60.0).to_radians());
+            let direction =
+                [azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin()].map(|v| v + 1e-9);
+            let [low, high] = [[-2.6, -1.7, -1.4], [3.1, 2.3, 1.3]];
+            let walls = (0..3).map(|axis| if direction[axis] > 0.0 { high[axis] } else { low[axis] } / direction[axis]);
+            let range = walls.fold(f64::INFINITY, f64::min);
+            direction.map(|v| (v * range) as f32)
+        };
+        for offset in [0.0, 40.0] {
+            let room: Vec<Point> = (0..12_000).map(|i| beam(i).map(|v| v + offset)).collect();
+            assert!(!is_scene(&room));
+            assert_eq!(Builtin::for_cloud(&room), Builtin::Scenes, "{offset}");
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Sweeps: clouds that one sensor saw around itself.
 
 use super::quantile;
-use snake_geometry::{Point, drawn};
+use snake_geometry::{Neighbors, Point, Sensor, drawn, eigen, vector};
 
 /// Number of points that are measured.
 const MEASURED: usize = 1024;
@@ -13,6 +13,13 @@ const FAR: f64 = 2.5;
 /// A sweep is dense near its sensor: the 95 % quantile of the distance to the nearest other point is more than this many times
 /// the median. Points drawn evenly from a surface have 2.0; one in a hundred objects has more than 2.3.
 const UNEVEN: f64 = 2.2;
+
+/// A sensor within this many radii of a cloud's middle saw it from within.
+pub(crate) const WITHIN: f64 = 1.0;
+
+/// A sweep is wide, or its sensor is found within: its deviation along the shortest axis is less than this share of that along the longest one. Streets have 0.04 to
+/// 0.06; most objects from one side that are far and uneven have more than 0.1.
+const HEIGHT: f64 = 0.15;
 
 /// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor at its centre: dense near the sensor, and with
 /// points far beyond. Six of 2033 objects do.
@@ -32,8 +39,13 @@ pub(super) fn is_sweep(points: &[Point]) -> bool {
         let others = measured.iter().enumerate().filter(|(j, _)| i != *j);
         others.map(|(_, other)| squared_distance(point, other)).fold(f64::INFINITY, f64::min)
     };
+    let all: Vec<usize> = (0..measured.len()).collect();
+    let Ok(neighbors) = Neighbors::new(measured.iter().copied().map(vector).collect()) else { return false };
+    let ([least, _, most], _) = eigen(neighbors.covariance(&all));
+    let is_seen_from_within = || Sensor::find(points).is_some_and(|sensor| sensor.radii_away(points) < WITHIN);
     is_more(measured.iter().map(|point| squared_distance(point, &center)).collect(), 0.98, FAR)
         && is_more(measured.iter().enumerate().map(nearest).collect(), 0.95, UNEVEN)
+        && (least < HEIGHT * HEIGHT * most || is_seen_from_within())
 }
 
 fn squared_distance(a: &Point, b: &Point) -> f64 {

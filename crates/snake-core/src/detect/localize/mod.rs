@@ -24,7 +24,7 @@ use self::patches::{Anchors, Sums};
 use crate::Result;
 use crate::field::Field;
 use crate::options::Preference;
-use snake_geometry::{Covariance, Point, Vector, in_parallel, some_in_parallel, vector};
+use snake_geometry::{Covariance, Point, Vector, drawn, in_parallel, some_in_parallel, vector};
 
 /// Radius of the neighbourhood in voxels, for scenes and objects. Voxels of a scene are about as wide as its point spacing.
 const RADIUS: [f32; 2] = [5.0, 2.2];
@@ -124,7 +124,7 @@ pub(crate) struct Surroundings<'a> {
 }
 
 impl<'a> Surroundings<'a> {
-    /// Takes all points of a scene, and every second, third or later point of an object that has too many. A point that is
+    /// Takes all points of a scene, and a sample of an object that has too many. A point that is
     /// stored several times was measured once.
     ///
     /// # Errors
@@ -134,9 +134,10 @@ impl<'a> Surroundings<'a> {
         let is_scene = field.lattice().is_scene();
         let radius = field.voxel_size() * RADIUS[usize::from(!is_scene)];
         let side = radius * SIDES[usize::from(!is_scene && prefer == Preference::Corners)];
-        let step = if is_scene { 1 } else { points.len().div_ceil(MANY).max(1) };
-        let mut points: Cow<[Point]> =
-            if step == 1 { points.into() } else { points.iter().step_by(step).copied().collect() };
+        let mut points: Cow<[Point]> = points.into();
+        if !is_scene && points.len() > MANY {
+            points = drawn(&points, MANY).into();
+        }
         // The cells are aligned with the network's frame, so they move with the scene.
         let place = |point| normalization.to_network(point).map(|v| v * normalization.scale);
         let (mut anchors, copies) = Anchors::of(&points, side, is_scene, place)?;

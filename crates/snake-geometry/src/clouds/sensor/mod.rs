@@ -121,6 +121,12 @@ impl Sensor {
         (is_near && visible > MIN_FUSED).then_some(Self { position: [0.0; 3], visible })
     }
 
+    /// The distance from the middle of the cloud, in median distances of its points from there.
+    pub fn radii_away(&self, points: &[Point]) -> f64 {
+        let (center, radius) = middle(&sample(points));
+        (Vector::from(self.position) - center).norm() / radius
+    }
+
     /// A sensor whose position is known.
     pub fn at(position: [f64; 3], points: &[Point]) -> Self {
         let points = sample(points);
