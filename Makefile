@@ -64,8 +64,8 @@ copper:
 	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
 
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
-test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun, Zenoh and the page for a browser; half an hour
-	for name in copper_task dora_node rerun_view zenoh_node; do (cd examples/$$name && cargo test --release) || exit 1; done
+test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun and the page for a browser; half an hour
+	for name in copper_task dora_node rerun_view; do (cd examples/$$name && cargo test --release) || exit 1; done
 	cd examples/wasm_page && page=$$(python3 build.py) && \
 		node --experimental-websocket test.mjs "$${page%% *}" ../../samples/plane.ply
 
