@@ -17,8 +17,8 @@ const UNEVEN: f64 = 2.2;
 /// A sensor within this many radii of a cloud's middle saw it from within.
 pub(crate) const WITHIN: f64 = 1.0;
 
-/// A sweep is wide, or its sensor is found within: its deviation along the shortest axis is less than this share of that along the longest one. Streets have 0.04 to
-/// 0.06; most objects from one side that are far and uneven have more than 0.1.
+/// A sweep is wide: its deviation along the shortest axis is less than this share of that along the longest one. Streets have
+/// 0.04 to 0.06, and most uneven views of objects more than 0.1. A higher one is a sweep if its sensor is found within.
 const HEIGHT: f64 = 0.15;
 
 /// Whether a cloud `(N, 3)`, in any unit, looks like the sweep of a sensor at its centre: dense near the sensor, and with

@@ -159,10 +159,12 @@ fn stray_points_do_not_pull() {
 }
 
 #[test]
-fn rotation_and_far_coordinates_change_nothing() {
+fn rotation_order_and_far_coordinates_change_nothing() {
     let points = corner(3, 0.02, 0.003);
     let start = [0.06, 0.05, -0.04];
     let place = localized(&points, start);
+    let reversed = localized(&points.iter().rev().copied().collect::<Vec<_>>(), start);
+    assert!(distance(reversed.position, place.position) < 1e-6, "{reversed:?} {place:?}");
     for (angles, offset) in [([0.3, -1.2, 2.5], [0.0; 3]), ([1.0, 0.2, -0.7], [400.0, -700.0, 90.0])] {
         let turn = Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
         let moved = |p: &Point| -> Point { (turn * vector(*p) + Vector::from(offset)).map(|v| v as f32).into() };
