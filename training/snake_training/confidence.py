@@ -1,7 +1,7 @@
 """Fits the map from a keypoint to the probability that another view finds it again, and writes it into a weight file:
 
     python -m snake_training.confidence compact.safetensors --objects CORPUS/val --rotations 1 4
-    python -m snake_training.confidence scenes.safetensors --pairs FRAMES SWEEPS --test SCENES
+    python -m snake_training.confidence scenes.safetensors --pairs ROOMS STREETS --test SCENES
 
 The score counts, and how well the points determine the place: each halving of the standard deviation along a direction adds to the
 score, but for the direction that is known best, as across a wall. So does each doubling of the reach in voxels.
