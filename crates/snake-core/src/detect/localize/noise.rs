@@ -7,7 +7,7 @@ use snake_geometry::Vector;
 /// The points within a radius form a wall if the ratio of their variances across and along is below the first value, and that
 /// without noise below the second. Walls with noise of 0.0015 z² have 0.12 to 0.25, and 0.01 without noise; most edges in real
 /// rooms have 0.05 to 0.3 without noise.
-const MAX_NOISE: f64 = 0.35;
+pub(super) const MAX_NOISE: f64 = 0.35;
 const RELIEF: f64 = 0.03;
 /// The two sides of a board are no noise: the kurtosis across it is below this. Noise has 3, two sides 1.
 const TWO_SIDES: f64 = 1.9;
@@ -17,9 +17,9 @@ const SQUARES: usize = 8;
 /// Fewer points, beyond one in each square, do not show the noise.
 const MIN_REPEATED: f64 = 12.0;
 
-/// Whether noise explains how far points within a radius lie off their plane: within small squares of the plane they vary across it
-/// as much as in all. At edges and corners they vary less within squares, whatever the noise.
-pub(super) fn is_noisy_plane(points: &[Vector], radius: f32) -> bool {
+/// The variance across the plane of points within a radius, if noise explains it: within small squares of the plane they vary across it
+/// as much as in all. At edges and corners they vary less within squares, whatever the noise. It is less than `most` of that along it.
+pub(super) fn noise_of_plane(points: &[Vector], radius: f32, most: f64) -> Option<f64> {
     let (count, side) = (points.len() as f64, SQUARE * f64::from(radius));
     let mean = points.iter().sum::<Vector>() / count;
     let products: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
@@ -40,5 +40,6 @@ pub(super) fn is_noisy_plane(points: &[Vector], radius: f32) -> bool {
     let [across, width, _] = order.map(|axis| eigenvalues[axis]);
     let has_two_sides = count * fourth < TWO_SIDES * across * across;
     let is_noise = across / (count - 3.0) - within / repeated < RELIEF * width / count;
-    !has_two_sides && across < MAX_NOISE * width && repeated >= MIN_REPEATED && is_noise
+    let is_plane = across < most * width && repeated >= MIN_REPEATED;
+    (is_plane && is_noise && !has_two_sides).then_some(across / count)
 }
