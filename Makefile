@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models release-model wheel manylinux results pictures fuzz
+.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results pictures fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -50,7 +50,6 @@ $(TEST): export PYO3_BUILD_EXTENSION_MODULE := 1
 $(TEST): export PYTHONPATH := $(CURDIR)/python
 test-full: export SNAKE_FULL := 1
 test-full: NIGHTLY :=
-test-full: copper
 test:  ## all tests: Rust, Python module, training, parity with PyTorch; prints the ten slowest
 test-full:  ## also whole grids, of which `make test` tests one of each kind: for the night
 $(TEST): $(VENV)/ready
@@ -59,13 +58,9 @@ $(TEST): $(VENV)/ready
 	python3 tools/rust_tests.py --workspace
 	OMP_NUM_THREADS=1 $(PYTHON) -m pytest -q -rs --durations=10 $(NIGHTLY) --numprocesses 2 --dist loadfile tests training/tests
 
-.PHONY: copper
-copper:
-	cargo check --release --locked --all-targets --manifest-path examples/copper_task/Cargo.toml --target-dir target
-
 # Each has hundreds of dependencies of its own. The page needs wasm32-unknown-unknown, Node.js and Chromium.
-test-examples:  ## the examples outside the workspace: Copper, Dora, Rerun and the page for a browser; half an hour
-	for name in copper_task dora_node rerun_view; do (cd examples/$$name && cargo test --release) || exit 1; done
+test-examples:  ## the examples outside the workspace: Dora, Rerun and the page for a browser; half an hour
+	for name in dora_node rerun_view; do (cd examples/$$name && cargo test --release) || exit 1; done
 	cd examples/wasm_page && page=$$(python3 build.py) && \
 		node --experimental-websocket test.mjs "$${page%% *}" ../../samples/plane.ply
 
@@ -135,9 +130,6 @@ models: module  ## all weights from their recipes into runs/: make models DATA=F
 
 models/paper.safetensors: $(sort $(wildcard models/paper.safetensors.?))  ## the paper's network, joined from its parts
 	cat $^ > $@
-
-release-model: module  ## take a model that its recipe made into the repository: make release-model NAME=compact
-	$(PYTHON) tools/release_model.py $(NAME)
 
 results: module  ## docs/results.md: make results OBJECTS=FOLDER LANDMARKS=FOLDER BODIES=FOLDER SURFACES=FOLDER SCENES=FOLDER (or one of them), LIMIT=NUMBER of objects; resumable
 	$(PYTHON) docs/results.py $(if $(OBJECTS),--objects $(OBJECTS)) $(if $(LANDMARKS),--landmarks $(LANDMARKS)) $(if $(BODIES),--bodies $(BODIES)) $(if $(SURFACES),--surfaces $(SURFACES)) $(if $(SCENES),--scenes $(SCENES)) $(if $(LIMIT),--limit $(LIMIT))

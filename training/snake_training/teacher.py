@@ -216,7 +216,7 @@ def main(argv=None):
     arguments = {
         "weights": dict(nargs="+", help="the teachers: safetensors exports, checkpoints or run folders"),
         "-o": dict(dest="output", metavar="FILE", required=True, help="file to write, about 57 kB a shape"),
-        "--data": option([], "corpus folders, or folders of clouds or shards", str, nargs="*"),
+        "--data": option([], "corpus folders, or folders of clouds", str, nargs="*"),
         "--device": option("cpu", "torch device, for instance cuda"),
     }
     about = "Write the saliency of networks on shapes, averaged over turned copies, for train --targets."

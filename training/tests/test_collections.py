@@ -1,8 +1,6 @@
 """The collections of clouds that samples are made from."""
 
-import io
 import json
-import tarfile
 
 import numpy as np
 import pytest
@@ -154,42 +152,3 @@ def test_mixture_share_of_procedural_shapes():
     drawn = [isinstance(shapes.cloud(generator), str) for _ in range(400)]
     assert abs(np.mean(drawn) - 0.75) < 0.09  # four standard deviations
     assert Mixture([], 0.0).cloud(rng()).shape == (4096, 3)  # with no data, all shapes are procedural
-
-
-def write_shard(path, members):
-    """A shard as WebDataset writes it: the members of a sample share a name up to the first dot."""
-    with tarfile.open(path, "w") as tar:
-        for name, content in members.items():
-            if isinstance(content, np.ndarray):
-                file = io.BytesIO()
-                np.save(file, content)
-                content = file.getvalue()
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            tar.addfile(member, io.BytesIO(content))
-
-
-def test_shards_have_the_clouds_of_their_members(tmp_path):
-    clouds = [cloud(50, seed) for seed in range(3)]
-    write_shard(tmp_path / "0.tar", {"a.npy": clouds[0], "a.json": b"{}", "b.points.npy": clouds[1]})
-    write_shard(tmp_path / "1.tar", {"c.npy": np.concatenate([clouds[2], np.full((1, 3), np.nan, np.float32)])})
-    shapes = open_shapes(tmp_path)
-    assert len(shapes) == 3
-    assert all(np.array_equal(shapes[row], clouds[row]) for row in range(3))
-    assert any(np.array_equal(shapes.cloud(rng()), points) for points in clouds)
-
-
-def test_bad_shards_are_named(tmp_path):
-    write_shard(tmp_path / "0.tar", {"a.npy": b"no array", "b.npy": np.ones((4, 2)), "c.npy": np.array([{}])})
-    for row, reason in enumerate(
-        ["0.tar: a.npy: not a readable", r"b.npy: expected \(N, 3\)", "c.npy: not a readable"]
-    ):
-        with pytest.raises(ShapeError, match=reason):
-            open_shapes(tmp_path)[row]
-    (tmp_path / "1.tar").write_bytes(b"no archive" * 100)
-    with pytest.raises(ShapeError, match="1.tar: not a readable shard"):
-        open_shapes(tmp_path)
-    (tmp_path / "2").mkdir()
-    write_shard(tmp_path / "2" / "0.tar", {"a.json": b"{}"})
-    with pytest.raises(ShapeError, match="no .npy member"):
-        open_shapes(tmp_path / "2")

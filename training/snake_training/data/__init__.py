@@ -1,6 +1,6 @@
-"""Where training shapes come from: the int16 corpus, WebDataset shards, folders of clouds, or procedural shapes. None needs labels."""
+"""Where training shapes come from: the int16 corpus, folders of clouds, or procedural shapes. None needs labels."""
 
-from .datasets import CloudError, Corpus, Folder, Mixture, ShapeError, Shards, open_all, open_shapes, write_corpus
+from .datasets import CloudError, Corpus, Folder, Mixture, ShapeError, open_all, open_shapes, write_corpus
 from .shapes import Procedural
 
 __all__ = [
@@ -10,7 +10,6 @@ __all__ = [
     "Mixture",
     "Procedural",
     "ShapeError",
-    "Shards",
     "open_all",
     "open_shapes",
     "write_corpus",

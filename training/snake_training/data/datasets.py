@@ -1,8 +1,6 @@
 """Collections of clouds: `len(shapes)` and `shapes.cloud(rng) -> (M, 3) float32` for training, `shapes[i]` to evaluate."""
 
-import io
 import json
-import tarfile
 from pathlib import Path
 
 import numpy as np
@@ -101,40 +99,6 @@ class Folder:
         return self[rng.integers(len(self))]
 
 
-class Shards:
-    """WebDataset shards: the `.npy` members of all `.tar` files of a folder, one shape a member."""
-
-    def __init__(self, folder):
-        self.members = []
-        for path in sorted(Path(folder).glob("*.tar")):
-            try:
-                with tarfile.open(path, "r:") as tar:
-                    files = [member for member in tar if member.isfile() and member.name.lower().endswith(".npy")]
-            except (OSError, tarfile.TarError) as error:
-                raise ShapeError(f"{path}: not a readable shard ({error})") from error
-            self.members += [(path, member.name, member.offset_data, member.size) for member in files]
-        if not self.members:
-            raise ShapeError(f"{folder}: no .npy member in its .tar files")
-
-    def __len__(self):
-        return len(self.members)
-
-    def __getitem__(self, row):
-        path, name, offset, size = self.members[row]
-        with path.open("rb") as file:
-            file.seek(offset)
-            content = file.read(size)
-        try:
-            points = np.load(io.BytesIO(content), allow_pickle=False)
-        except NPY_ERRORS as error:
-            raise ShapeError(f"{path}: {name}: not a readable NPY ({error})") from error
-        return finite_points(points, f"{path}: {name}")
-
-    def cloud(self, rng):
-        """A random member's cloud."""
-        return self[rng.integers(len(self))]
-
-
 class Mixture:
     """A share of procedural shapes, the rest uniformly over all shapes of the other collections; rows are theirs."""
 
@@ -211,7 +175,7 @@ def near_zero(points):
 
 
 def open_shapes(folder, split=""):
-    """A corpus, shards or a body model if the folder holds them, else a folder of clouds; a list may name some of them."""
+    """A corpus or a body model if the folder holds it, else a folder of clouds; a list may name some of them."""
     folder = Path(folder)
     bodies = [path for path in (folder / "model.npz", folder / "model.pkl") if path.exists()]
     if not split and (folder / "points.npy").exists():
@@ -221,7 +185,7 @@ def open_shapes(folder, split=""):
             return Bodies(bodies[0])
         except ValueError as error:
             raise ShapeError(str(error)) from error
-    return Shards(folder) if not split and any(folder.glob("*.tar")) else Folder(folder, split=split)
+    return Folder(folder, split=split)
 
 
 def open_all(folders, splits):

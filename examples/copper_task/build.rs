@@ -1,3 +1,0 @@
-fn main() {
-    cu29_build::setup();
-}
