@@ -103,7 +103,7 @@ fn detect(
 #[pyfunction]
 fn scene_signs(points: &Bound<'_, PyAny>) -> PyResult<Option<Vec<f64>>> {
     let (cloud, _) = arrays::cloud("points", points)?;
-    Ok(snake_core::scene_signs(&cloud.points, cloud.origin.map(|v| -v)).map(Vec::from))
+    Ok(snake_core::scene_signs(&cloud.points).map(Vec::from))
 }
 
 /// The keypoints of several clouds.

@@ -145,7 +145,7 @@ impl Chooser {
 
     fn choose<'a>(&self, points: &'a [Point], origin: [f64; 3]) -> Result<Chosen<'a>> {
         let cloud = UsedCloud::new(points)?;
-        let suited = || by_cloud(&cloud, origin.map(|v| -v));
+        let suited = || by_cloud(&cloud);
         let builtin = |which, by, note| (Some(which), self.named_builtin(which), by, note);
         let (which, NamedModel { model, name, options }, by, note) = match (&self.named, self.by_option) {
             (Some(named), _) => (None, named.clone(), ChosenBy::Name, None),

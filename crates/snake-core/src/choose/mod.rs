@@ -5,6 +5,8 @@ mod chooser;
 mod cloud_note;
 mod few_voxels;
 #[cfg(feature = "builtin-models")]
+mod network;
+#[cfg(feature = "builtin-models")]
 mod rule;
 
 #[cfg(feature = "builtin-models")]

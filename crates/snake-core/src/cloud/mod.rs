@@ -7,7 +7,6 @@ mod sweep;
 
 pub(crate) use self::coordinate_step::CoordinateStep;
 pub use self::scene_signs::{NUM_SIGNS, scene_signs};
-pub(crate) use self::sweep::WITHIN;
 
 use std::sync::OnceLock;
 

@@ -1,9 +1,9 @@
 //! Signs of a scene: how a cloud of a room, a street or terrain differs from one of a single object, in any unit.
 //!
-//! An object is seen from all around, or from one side: then it bulges toward its sensor and ends where it turns away. A scene is
+//! An object is seen from all around, or from one side: then it bulges toward its sensor, is denser there, and ends where it turns away. A scene is
 //! seen from within, much of it is flat, and it ends anywhere. The signs are measured on patches: the mean points of the cells of
 //! a coarse grid, which do not depend on the density of near points, laid on the planes of their surroundings, because a noisy
-//! wall is flat too. `python -m snake_training.cloud_kind` fits the weights in `choose/rule.rs`.
+//! wall is flat too. `python -m snake_training.cloud_kind` fits the network in `choose/kind.json`.
 
 use nalgebra::Matrix3;
 
@@ -11,7 +11,7 @@ use super::quantile;
 use snake_geometry::{Point, Vector, drawn, eigen, vector};
 
 /// The number of signs.
-pub const NUM_SIGNS: usize = 13;
+pub const NUM_SIGNS: usize = 16;
 
 /// Points that are looked at, at most.
 const POINTS: usize = 6000;
@@ -22,7 +22,7 @@ const CELLS: f64 = 12.0;
 /// Fewest points that make a plane.
 const MIN_PLANE_POINTS: f64 = 6.0;
 /// Fewest patches that make surroundings, or a cloud with signs.
-const MIN_PATCHES: usize = 6;
+const MIN_PATCHES: u32 = 6;
 /// Patches whose surroundings are measured, at most.
 const SAMPLES: usize = 200;
 /// Cosine between the normals of parallel patches.
@@ -35,23 +35,19 @@ const BULGE_RADIUS: f64 = 0.3;
 const EDGE: [f64; 2] = [3.5, 1.2];
 /// The surface goes on behind a patch if more than this share of the patches is at least so many sides of a cell behind its plane.
 const BEHIND: [f64; 2] = [0.02, 2.0];
-/// A viewpoint that is farther away, in sizes of the cloud, is an origin of coordinates and not a sensor.
-const FARTHEST_SENSOR: f64 = 300.0;
 
 /// The signs of a cloud `(N, 3)` of finite points. `None` where the patches are too few, or the cloud has no extent.
 ///
-/// `viewpoint` is where the sensor may have stood: the origin of the frame, as in clouds of a camera. Amid the cloud, or very far
-/// from it, it does not count.
-///
 /// The signs are the flatness (the smallest eigenvalue's share) of surroundings of two radii and the breadth (the middle one's) of
 /// the smaller; the logarithm of the area; the shares of parallel pairs of patches and of the largest connected part; how far the
-/// mean of the points is from that of the patches; how far surroundings bulge as the whole cloud does, and toward the viewpoint,
-/// and how far the whole bulges toward it; the share of patches at edges, and how much more than others these face the direction
-/// in which the cloud bulges; and the root of the share of patches with surface on both sides of their planes, as things in a room have.
-pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SIGNS]> {
+/// mean of the points is from that of the patches; how far surroundings bulge as the whole cloud does, and toward the denser side;
+/// the share of patches at edges, and how much more than others these face the direction
+/// in which the cloud bulges; the root of the share of patches with surface on both sides of their planes, as things in a room have;
+/// the greatest and the median share of the patches on one plane; and the flatness and breadth of the whole cloud.
+pub fn scene_signs(points: &[Point]) -> Option<[f64; NUM_SIGNS]> {
     let drawn: Vec<Vector> = drawn(points, POINTS).into_iter().map(vector).collect();
-    let surface = Surface::new(&drawn, viewpoint.into())?;
-    let Surface { patches, side, connected, .. } = &surface;
+    let surface = Surface::new(&drawn)?;
+    let Surface { patches, side, connected, dense } = &surface;
     let number = patches.len() as f64;
     // The mean foot of the perpendiculars from the middle to the planes: zero for closed surfaces, and long for the half of one.
     let bulge = patches.iter().map(|p| p.normal * p.normal.dot(&p.position)).sum::<Vector>() / number;
@@ -66,8 +62,8 @@ pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SI
     let mean = |value: fn(&Surroundings) -> f64| measured.iter().map(value).sum::<f64>() / measured.len() as f64;
     let pairs = f64::max(mean(|s| s.pairs), 1e-9);
     let edges = mean(|s| s.edge);
-    let points: f64 = patches.iter().map(|patch| patch.points).sum();
-    let dense: Vector = patches.iter().map(|patch| patch.position * patch.points).sum();
+    let on_plane = |share: f64| quantile(measured.iter().map(|s| s.on_plane).collect(), share);
+    let [flatness, breadth] = eigenvalue_shares(patches.iter().map(|patch| patch.position))?;
     Some([
         at(0, 0, 0.5)?,
         at(1, 0, 0.9)?,
@@ -75,13 +71,16 @@ pub fn scene_signs(points: &[Point], viewpoint: [f64; 3]) -> Option<[f64; NUM_SI
         (number * side * side).ln(),
         parallel_share(&samples),
         *connected,
-        dense.norm() / points,
+        dense.norm(),
         mean(|s| s.bulge) / pairs,
-        mean(|s| s.toward_sensor) / pairs,
-        bulge.dot(&surface.toward_sensor(&Vector::zeros())),
+        mean(|s| s.toward_dense) / pairs,
         edges,
         mean(|s| s.edge * s.facing) / edges.max(1e-9) - mean(|s| s.facing),
         mean(|s| s.amid).sqrt(),
+        on_plane(1.0),
+        on_plane(0.5),
+        flatness,
+        breadth,
     ])
 }
 
@@ -90,16 +89,18 @@ struct Surroundings {
     /// The smallest and the middle eigenvalue's shares within each of [`RADII`].
     shares: [Option<[f64; 2]>; 2],
     /// The number of patches within [`BULGE_RADIUS`], and the sums of how steeply they lie below the sample's plane, seen
-    /// against the bulge and from the sensor.
+    /// against the bulge and from the denser side.
     pairs: f64,
     bulge: f64,
-    toward_sensor: f64,
+    toward_dense: f64,
     /// 1 at an edge, else 0.
     edge: f64,
     /// The cosine between the normal and the direction of the bulge, without its sign.
     facing: f64,
     /// 1 with surface on both sides of the plane, else 0.
     amid: f64,
+    /// The share of the patches that lie on the plane.
+    on_plane: f64,
 }
 
 /// The surface of a cloud about its middle, in units of its size.
@@ -109,7 +110,8 @@ struct Surface {
     side: f64,
     /// The share of the largest connected part.
     connected: f64,
-    sensor: Vector,
+    /// From the mean of the patches to that of the points, which are denser toward their sensor.
+    dense: Vector,
 }
 
 /// The part of the surface in a cell.
@@ -122,8 +124,8 @@ struct Patch {
 }
 
 impl Surface {
-    fn new(points: &[Vector], viewpoint: Vector) -> Option<Self> {
-        let (cells, middle, side) = cells(points)?;
+    fn new(points: &[Vector]) -> Option<Self> {
+        let cells = cells(points)?;
         let near: Vec<Vec<usize>> = cells.iter().map(|cell| neighbors(cell, &cells)).collect();
         let mut patches: Vec<Patch> = cells.iter().zip(&near).map(|(cell, near)| patch(cell, near, &cells)).collect();
         let number = patches.len() as f64;
@@ -131,16 +133,10 @@ impl Surface {
         patches.iter_mut().for_each(|patch| patch.position -= mean);
         let scale = (patches.iter().map(|patch| patch.position.norm_squared()).sum::<f64>() / number).sqrt();
         patches.iter_mut().for_each(|patch| patch.position /= scale);
-        let sensor = ((viewpoint - middle) / side - mean) / scale;
+        let points: f64 = patches.iter().map(|patch| patch.points).sum();
+        let dense = patches.iter().map(|patch| patch.position * patch.points).sum::<Vector>() / points;
         let (side, connected) = (1.0 / scale, connected_share(&near));
-        (patches.len() >= MIN_PATCHES && scale > 0.0).then_some(Self { patches, side, connected, sensor })
-    }
-
-    /// The direction from a position to the sensor, shorter amid the cloud and zero for a viewpoint that is none.
-    fn toward_sensor(&self, position: &Vector) -> Vector {
-        let away = self.sensor.norm();
-        let trust = if away < FARTHEST_SENSOR { (away / away.hypot(1.0)).powi(3) } else { 0.0 };
-        (self.sensor - position).try_normalize(1e-9).unwrap_or_default() * trust
+        (patches.len() >= MIN_PATCHES as usize && scale > 0.0).then_some(Self { patches, side, connected, dense })
     }
 
     fn surroundings(&self, sample: &Patch, bulge: &Vector) -> Surroundings {
@@ -153,9 +149,12 @@ impl Surface {
             let is_behind = |patch: &&Patch| normal.dot(&(patch.position - sample.position)) > BEHIND[1] * side;
             patches.iter().filter(is_behind).count() as f64 > BEHIND[0] * patches.len() as f64
         };
+        let is_on_plane = |patch: &&Patch| {
+            sample.normal.dot(&(patch.position - sample.position)).abs() < *side
+                && sample.normal.dot(&patch.normal).abs() > PARALLEL
+        };
         let within = |radius: f64| near.iter().filter(move |(_, squared)| *squared <= radius * radius);
-        let shares =
-            RADII.map(|radius| eigenvalue_shares(&within(radius).map(|(offset, _)| *offset).collect::<Vec<_>>()));
+        let shares = RADII.map(|radius| eigenvalue_shares(within(radius).map(|(offset, _)| *offset)));
         let slopes: Vec<f64> = within(BULGE_RADIUS)
             .filter(|(_, squared)| *squared > 0.0)
             .map(|(offset, squared)| -sample.normal.dot(offset) / squared.sqrt())
@@ -168,10 +167,11 @@ impl Surface {
             shares,
             pairs: slopes.len() as f64,
             bulge: below * sample.normal.dot(bulge),
-            toward_sensor: below * sample.normal.dot(&self.toward_sensor(&sample.position)),
+            toward_dense: below * sample.normal.dot(&self.dense.try_normalize(1e-9).unwrap_or_default()),
             edge: f64::from(around.1 > 0.0 && around.0.norm() > EDGE[1] * side * around.1),
             facing: sample.normal.dot(bulge).abs(),
             amid: f64::from(behind(sample.normal) && behind(-sample.normal)),
+            on_plane: patches.iter().filter(is_on_plane).count() as f64 / patches.len() as f64,
         }
     }
 }
@@ -185,7 +185,7 @@ struct Cell {
 }
 
 /// The cells in the order of the grid, the middle of the cloud, and the side of a cell.
-fn cells(points: &[Vector]) -> Option<(Vec<Cell>, Vector, f64)> {
+fn cells(points: &[Vector]) -> Option<Vec<Cell>> {
     if points.len() < MIN_POINTS {
         return None;
     }
@@ -206,7 +206,7 @@ fn cells(points: &[Vector]) -> Option<(Vec<Cell>, Vector, f64)> {
         sum: group.iter().map(|(_, place)| place).sum(),
         products: group.iter().map(|(_, place)| place * place.transpose()).sum(),
     };
-    Some((keyed.chunk_by(|a, b| a.0 == b.0).map(cell).collect(), middle, side))
+    Some(keyed.chunk_by(|a, b| a.0 == b.0).map(cell).collect())
 }
 
 /// The cells among the 27 about a cell.
@@ -234,14 +234,16 @@ fn patch(cell: &Cell, near: &[usize], cells: &[Cell]) -> Patch {
 }
 
 /// The smallest and the middle eigenvalue of the covariance as shares of the sum. `None` for few or equal positions.
-fn eigenvalue_shares(positions: &[Vector]) -> Option<[f64; 2]> {
-    let number = positions.len() as f64;
-    let mean = positions.iter().sum::<Vector>() / number;
-    let products: Matrix3<f64> = positions.iter().map(|position| position * position.transpose()).sum();
-    let mut values: [f64; 3] = (products / number - mean * mean.transpose()).symmetric_eigenvalues().into();
+fn eigenvalue_shares(positions: impl Iterator<Item = Vector>) -> Option<[f64; 2]> {
+    let (number, total, products) = positions
+        .fold((0, Vector::zeros(), Matrix3::zeros()), |(number, total, products), p| {
+            (number + 1, total + p, products + p * p.transpose())
+        });
+    let mean = total / f64::from(number);
+    let mut values: [f64; 3] = (products / f64::from(number) - mean * mean.transpose()).symmetric_eigenvalues().into();
     values.sort_by(f64::total_cmp);
     let sum: f64 = values.iter().sum();
-    (positions.len() >= MIN_PATCHES && sum > 0.0).then(|| [values[0].max(0.0) / sum, values[1] / sum])
+    (number >= MIN_PATCHES && sum > 0.0).then(|| [values[0].max(0.0) / sum, values[1] / sum])
 }
 
 /// The share of the largest connected part, by the neighbours of each cell.

@@ -15,7 +15,7 @@ const FAR: f64 = 2.5;
 const UNEVEN: f64 = 2.2;
 
 /// A sensor within this many radii of a cloud's middle saw it from within.
-pub(crate) const WITHIN: f64 = 1.0;
+const WITHIN: f64 = 1.0;
 
 /// A sweep is wide: its deviation along the shortest axis is less than this share of that along the longest one. Streets have
 /// 0.04 to 0.06, and most uneven views of objects more than 0.1. A higher one is a sweep if its sensor is found within.

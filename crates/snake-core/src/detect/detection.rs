@@ -38,8 +38,8 @@ impl Detection {
             Counts { above_threshold: 0, .. } => "a lower `saliency_threshold` may find some",
             _ if options.min_confidence.is_none() => "a smaller `nms_radius` may keep more",
             _ => {
-                "few places are found again more often than chance, as on a flat wall: a larger `voxel_size` may show more, \
-                 `min_confidence` 0 gives all"
+                "few places are found again more often than chance, as on a flat wall: half or twice the `voxel_size` may show \
+                 more, `min_confidence` 0 gives all"
             }
         };
         let number = match self.keypoints.len() {
