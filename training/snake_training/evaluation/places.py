@@ -21,9 +21,8 @@ from ..data.views import FRAMES, one_sided
 
 CORNERS = {0.01: 0.015, 0.02: 0.015, 0.04: 0.04}  # metres between points, and from a corner to its keypoint at most
 NOISES = 0.0, 0.0015, 0.003  # of depth frames, metres at a metre
-FAR = 0.2  # metres
+FAR, FEW = 0.2, 8  # metres; keypoints
 WITHIN = 7.815  # 95 % of a chi-squared distribution of three degrees of freedom
-FEW = 8
 
 
 def corner_row(spacing, seeds):

@@ -16,6 +16,8 @@ const TOLERANCE: f64 = 1e-4;
 const MIN_SPREAD: f64 = 1e-3;
 /// The depth of a plane of missing returns is more than this many times the farthest other point's distance from the origin.
 const MIN_DEPTH: f64 = 1.5;
+/// Along the depth it has at most this share of its width: another thing far away has more.
+const FLAT: f64 = 0.01;
 /// A cloud keeps its points if a smaller share than this would be left.
 const MIN_LEFT: f64 = 0.05;
 /// It also keeps them if more than this share is at one distance or depth: a dome around the sensor, or a wall behind objects.
@@ -159,9 +161,14 @@ impl<'a> Returns<'a> {
             let others = points.iter().filter(|point| !is_at(point));
             let farthest = others.map(|point| vector(*point).norm()).fold(0.0, f64::max);
             let is_behind = depth.abs() > MIN_DEPTH * farthest && !is_surface(&is_missing);
+            let extent = |axis: usize| {
+                let values = || at_depth().map(|point| point[axis]);
+                f64::from(values().fold(f32::MIN, f32::max)) - f64::from(values().fold(f32::MAX, f32::min))
+            };
+            let is_flat = || extent(axis) <= FLAT * extent((axis + 1) % 3).max(extent((axis + 2) % 3));
             let is_vertex = || at_depth().all(|point| Some(point) == first) && self.sensor().is_none();
             let place = format!("exactly at {} = {depth:.6}, far behind the others", ["x", "y", "z"][axis]);
-            (is_behind && !is_vertex()).then_some((is_missing, place))
+            (is_behind && is_flat() && !is_vertex()).then_some((is_missing, place))
         })
     }
 }
@@ -293,7 +300,9 @@ mod tests {
             })
             .collect();
         let repeated: Vec<Point> = (0..5000).map(|i| [(i % 50) as f32, (i % 7) as f32, (i % 3) as f32]).collect();
-        for points in [ball(2000), rings, repeated, vec![[1.0; 3]; 99]] {
+        let away = |shift: f32| ball(2000).into_iter().map(move |[x, y, z]| [x + shift, y, z]);
+        let two = away(3.0).chain(away(1e5)).collect();
+        for points in [ball(2000), two, rings, repeated, vec![[1.0; 3]; 99]] {
             assert_eq!([None, Some([0.0; 3])].map(|sensor| cleaned(&points, sensor).0), [points.len(); 2]);
         }
     }
