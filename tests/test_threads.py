@@ -149,7 +149,7 @@ CALLS = {
     "mesh": "field.mesh(resolution=512)",
     "iss": "snake_rs.baselines.iss(many, salient_radius=1.0)",
     "fpfh": "snake_rs.fpfh(many, np.ones_like(many), 0.5)",
-    "normals": "snake_rs.estimate_normals(many, 0.5)",
+    "normals": "snake_rs.estimate_normals(many, 1.0)",
     "gradients": "field.occupancy_and_gradient(np.tile(many, (400, 1)))",
     "descriptors": "field.descriptors(np.tile(many, (400, 1)))",
     "saliency": "field.saliency(np.tile(many, (400, 1)))",

@@ -80,8 +80,7 @@ def scan_row(quadratic, seeds):
         keypoints = snake_rs.detect(points, model="scenes").points
         number += len(keypoints)
         far += sum(from_edges(keypoints @ turn.T + eye, world) > FAR) if len(keypoints) else 0
-    name = "tripods" if quadratic is None else f"depth frames, {quadratic} z²"
-    return [name, number, "", "", f"{far} of {number}"]
+    return ["tripods" if quadratic is None else f"depth frames, {quadratic} z²", number, "", "", f"{far} of {number}"]
 
 
 def main(argv=None):
@@ -93,8 +92,7 @@ def main(argv=None):
     seeds = range(*arguments.seeds)
     print(f"| rooms | keypoints | corners found | within 95 % | beyond {FAR} m of edges |\n|---|---|---|---|---|")
     rows = [corner_row(spacing, seeds) for spacing in CORNERS] + [scan_row(noise, seeds) for noise in (*NOISES, None)]
-    for row in rows:
-        print(f"| {' | '.join(map(str, row))} |")
+    print(*(f"| {' | '.join(map(str, row))} |" for row in rows), sep="\n")
     if arguments.objects:
         clouds = np.load(arguments.objects / "points.npy", mmap_mode="r")[seeds.start % 14 :: 14] / np.float32(32767)
         rng = np.random.default_rng(seeds.start)

@@ -1,6 +1,6 @@
 //! Small networks that weigh the signs of a scene; `python -m snake_training.cloud_kind` fits them.
 
-use std::sync::LazyLock;
+use std::sync::OnceLock;
 
 use serde::Deserialize;
 
@@ -20,9 +20,12 @@ pub(super) struct Networks {
 impl Networks {
     /// The networks of this release.
     pub fn fitted() -> &'static Self {
-        static FITTED: LazyLock<Networks> =
-            LazyLock::new(|| serde_json::from_str(include_str!("kind.json")).expect("the file is part of the program"));
-        &FITTED
+        static FITTED: OnceLock<Networks> = OnceLock::new();
+        FITTED.get().unwrap_or_else(|| {
+            // Read before the cell is locked: a child process that is forked meanwhile would find it locked forever.
+            let read = serde_json::from_str(include_str!("kind.json")).expect("the file is part of the program");
+            FITTED.get_or_init(|| read)
+        })
     }
 
     /// The log-odds that a cloud with these signs is a scene.

@@ -118,10 +118,9 @@ pub(super) mod tests {
 
     #[test]
     fn the_sensor_decides_in_doubt() {
-        let none = || None;
         for (score, away, is_scene) in [(-2.9, 3.1, true), (2.9, 5.1, false), (-0.1, 4.0, false), (0.1, 4.0, true)] {
             assert_eq!(with_sensor(score, || Some(away)) > 0.0, is_scene, "{score} {away}");
-            assert_eq!(with_sensor(score, none), score);
+            assert_eq!(with_sensor(score, || None), score);
         }
         assert_eq!([-3.1, 3.1].map(|score| with_sensor(score, || unreachable!())), [-3.1, 3.1]);
     }
