@@ -14,11 +14,6 @@ use snake_geometry::Vector;
 /// Number of offsets along each axis at which planes of a rotated source are aligned with planes.
 /// Half and twice change no outcome.
 const TURN_OFFSETS: usize = 3;
-/// A rotated source must have this overlap with the target, and this number of voxels on planes
-/// that meet. Unit: share of the winner's. With 0.45, three instead of five of ten lobbies are
-/// wrong and reliable, but a correct desk and a correct room are not reliable.
-const TURN_SHARE: f64 = 0.7;
-
 /// The quarter and half turns about the axes.
 pub(super) fn turns(axes: &[Vector]) -> Vec<Rotation3<f64>> {
     let about = |&axis: &Vector| [0.5, 1.0, 1.5].map(|half_turns| Rotation3::from_scaled_axis(axis * half_turns * PI));
@@ -91,16 +86,10 @@ impl Offsets {
         }
         if best.is_empty() { vec![(0.0, 0.0)] } else { best }
     }
-
-    /// The number of voxels whose planes meet without a shift.
-    fn meeting(&self, target: &Self) -> f64 {
-        let near = |axis| self.shifts(target, axis).into_iter().filter(|(shift, _)| shift.abs() < BINS as f64);
-        (0..3).flat_map(|axis| near(axis).next()).map(|(_, sum)| sum).sum()
-    }
 }
 
-/// The winner after each rotation in the target's frame, shifted so that planes lie on planes, if
-/// about as much of the source then lies on the target. A tag names each rotation.
+/// The winner after each rotation in the target's frame, shifted so that planes lie on planes: of a few such shifts the one that
+/// fits best. A tag names each rotation.
 pub(super) fn after_turns<T: Copy>(
     surfaces: &[Surface; 2],
     winner: &IsometryMatrix3<f64>,
@@ -111,13 +100,10 @@ pub(super) fn after_turns<T: Copy>(
     let (side, is_signed) = (2.0 / BINS as f64 * source.grid.distance(), source.is_signed());
     let some = |surface: &Surface| (0..surface.points.len()).step_by(2 * coarse_step(surface.points.len()));
     let offsets = |places: &[(Vector, Vector)]| Offsets::new(places, frame, is_signed, side);
-    let indices: Vec<usize> = some(source).collect();
-    let at_rest: Vec<(Vector, Vector)> =
-        indices.iter().map(|&i| (moved(winner, &source.points[i]), winner.rotation * source.normals[i])).collect();
+    let at_rest = |i: usize| (moved(winner, &source.points[i]), winner.rotation * source.normals[i]);
+    let at_rest: Vec<(Vector, Vector)> = some(source).map(at_rest).collect();
     let on_target = offsets(&some(target).map(|i| (target.points[i], target.normals[i])).collect::<Vec<_>>());
-    let min_meeting = TURN_SHARE * offsets(&at_rest).meeting(&on_target);
-    let overlap = |transform: &_| indices.iter().filter(|&&i| source.is_on(i, target, transform)).count() as f64;
-    let min_overlap = TURN_SHARE * overlap(winner);
+    let fit = |transform: &_| Surface::agreement(source, target, transform, 2 * coarse_step(source.points.len())).fit();
     let best = |(tag, turn): (T, Rotation3<f64>)| {
         let places: Vec<_> = at_rest.iter().map(|(point, normal)| (turn * point, turn * normal)).collect();
         let own = offsets(&places);
@@ -129,15 +115,13 @@ pub(super) fn after_turns<T: Copy>(
             };
             moves = moves.iter().flat_map(with).collect();
         }
-        moves.retain(|(_, sum)| *sum >= min_meeting);
         moves.sort_by(|a, b| b.1.total_cmp(&a.1));
         let tries = moves.into_iter().take(TRIES).map(|(to, _)| {
             let translation = Translation3::from(turn * winner.translation.vector + to);
             let transform = IsometryMatrix3::from_parts(translation, turn * winner.rotation);
-            (overlap(&transform), transform)
+            (fit(&transform), transform)
         });
-        let (overlap, transform) = tries.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        (overlap >= min_overlap).then_some((tag, transform))
+        tries.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, transform)| (tag, transform))
     };
     turns.filter_map(best).collect()
 }
@@ -154,8 +138,6 @@ mod tests {
         let other: Vec<_> = wall(1.05, Vector::x()).chain(wall(3.05, -Vector::x())).collect();
         let offsets = |places: &[_]| Offsets::new(places, &frame, true, 0.1);
         assert_eq!(offsets(&own).shifts(&offsets(&other), 0)[0], (10.0, 100.0));
-        assert_eq!(offsets(&own).meeting(&offsets(&own)), 100.0);
-        assert_eq!(offsets(&own).meeting(&offsets(&other)), 0.0);
         assert_eq!(offsets(&own).shifts(&offsets(&other), 1), [(0.0, 0.0)]);
         // A plane that lies across two bins is not moved by a whole one.
         let across: Vec<_> = wall(1.08, Vector::x()).chain(wall(1.12, Vector::x())).collect();
