@@ -21,6 +21,9 @@ const AWAY: [f64; 2] = [3.2, 5.0];
 /// Clouds whose surroundings are at most this broad are wires or curves, never scenes.
 const CURVE: f64 = 0.15;
 
+/// Where a plane holds more than this share of the patches, the points do not tell a wall from a plate.
+const ONE_PLANE: f64 = 0.97;
+
 /// The given option that only one kind of model has, and the built-in model of that kind. An option that is off does not
 /// count.
 pub(super) fn by_options(values: &Map<String, Value>) -> Option<(&'static str, Builtin)> {
@@ -70,11 +73,12 @@ fn with_sensor(score: f64, away: impl FnOnce() -> Option<f64>) -> f64 {
 /// By how much a cloud looks like a scene and not like one object: the log-odds, negative for objects.
 fn scene_score(points: &[Point]) -> f64 {
     let Some(signs) = scene_signs(points) else { return f64::NEG_INFINITY };
-    let [_, _, broad, ..] = &signs;
+    let [_, _, broad, .., on_plane, _, _] = &signs;
     if *broad <= CURVE {
         return f64::NEG_INFINITY;
     }
-    Networks::fitted().score(&signs)
+    let score = Networks::fitted().score(&signs);
+    if *on_plane > ONE_PLANE { score.clamp(-DOUBT, DOUBT) } else { score }
 }
 
 impl Builtin {
@@ -123,6 +127,13 @@ pub(super) mod tests {
             assert_eq!(with_sensor(score, || None), score);
         }
         assert_eq!([-3.1, 3.1].map(|score| with_sensor(score, || unreachable!())), [-3.1, 3.1]);
+    }
+
+    #[test]
+    fn a_plane_may_be_a_wall_or_a_plate() {
+        let inner = |p: &Point| p[0].abs() < 1.0 && p[1].abs() < 1.0;
+        let floor: Vec<Point> = cuboid(18000, [1.0; 3]).filter(inner).map(|p| [p[0], p[1], 0.002 * p[2]]).collect();
+        assert_eq!(scene_score(&floor), -DOUBT);
     }
 
     #[test]
