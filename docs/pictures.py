@@ -28,6 +28,8 @@ OBJECTS = dict(
     windturbine="windturbine_tall_fan", cat="cat", bed="bedDouble",
 )  # fmt: skip
 
+SIDES = dict(cup="expresso-cup", skull="Skull", bolt="factory_bolt_m20_loose", cat="cat")
+
 WIDTH, TITLE, MARGIN = 1000, 26, 12  # pixels
 VIRIDIS = [(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)]
 GREY, RED = (150, 150, 150), (229, 72, 77)
@@ -122,10 +124,15 @@ def drive():
 
 
 def objects(data):
-    """The objects of the picture by name."""
+    """Whole objects, and below them what a depth camera sees of some, by the default choice of a model."""
+    from snake_training.data.views import one_sided
+
     numbers = {row["name"]: number for number, row in enumerate(json.loads((data / "index.json").read_text()))}
     points = np.load(data / "points.npy", mmap_mode="r")
-    return {name: points[numbers[full]] / np.float32(32767) for name, full in OBJECTS.items()}
+    cloud, rng = lambda name: points[numbers[name]] / np.float32(32767), np.random.default_rng(3)
+    whole = {name: cloud(full) for name, full in OBJECTS.items()}
+    sides = {f"{name} from one side": one_sided(cloud(full), rng, "camera") for name, full in SIDES.items()}
+    return [*keypoints(whole, "y", 4, (30, 20), model="compact"), *keypoints(sides, "camera", 4, (20, 10))]
 
 
 def made_room():
@@ -199,9 +206,7 @@ def pictures(data):
     return {
         "view.png": page,
         "gallery/field.png": lambda out: run("snake-cli", "field", PLANE, "-o", out),
-        "gallery/objects.png": lambda out: save(
-            list(keypoints(objects(folder("objects/val")), "y", 4, (30, 20), model="compact")), out
-        ),
+        "gallery/objects.png": lambda out: save(objects(folder("objects/val")), out),
         "gallery/first.png": lambda out: two(out, {"plane": plane, "office": office(6)}, "z camera"),
         "gallery/rooms.png": lambda out: two(out, {"office": office(6), "corner": office(20)}, "camera"),
         "gallery/street.png": lambda out: two(out, drive(), "z", view=(60, 35), radius=30),

@@ -15,7 +15,19 @@ import torch
 from snake_rs._core import scene_signs
 
 from .arguments import option, parser_of
-from .data.kinds import empty_room, in_any_frame, lattice, part, solid, terrain, thing, torus, varied
+from .data.kinds import (
+    empty_room,
+    in_any_frame,
+    lattice,
+    part,
+    solid,
+    terrain,
+    thing,
+    torus,
+    varied,
+    vessel,
+    whole_room,
+)
 from .data.landmarks import landmarks
 from .data.sensors import drive, scene_cloud
 from .data.shapes import Procedural
@@ -82,6 +94,11 @@ def training_groups(corpus, made, rng):
         "drives": (changed(several(lambda rng: next(drive(rng.integers(10**6), 1, 0.0))[0])), True),
         "scenes": (changed(real * 8), True),
         "parts of scenes": (signs(part(cloud, rng) for cloud in real * 6), True),
+        "vessels": (
+            signs(make(vessel(rng), rng) for _ in range(made // 2) for make in (in_any_frame, *2 * (one_sided,))),
+            False,
+        ),
+        "whole rooms": (changed(several(whole_room)), True),
     }
 
 

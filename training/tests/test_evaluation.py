@@ -208,7 +208,10 @@ def test_views_of_a_pair_keep_its_transform_and_a_share_of_its_points():
     t_1_2 = transform([0, 0, 1], [2, 0, 0])
     views = draw_views((LINE[:50], LINE[:80], t_1_2), Condition(4), 60)
     assert (len(views.view_1), len(views.view_2)) == (12, 15) and np.array_equal(views.t_1_2, t_1_2)
-    assert [str(Condition(*given)) for given in ((), (8,), (1, 0.06))] == ["clean", "1 in 8", "σ 0.06"]
+    one = draw_views((LINE[:50], LINE[:80], t_1_2), Condition(4, is_of_both=False), 60)
+    assert (len(one.view_1), len(one.view_2)) == (50, 15)
+    named = {(): "clean", (8,): "1 in 8", (1, 0.06): "σ 0.06", (8, 0, False): "1 in 8 of one"}
+    assert [str(Condition(*given)) for given in named] == [*named.values()]
 
 
 def test_few_pairs_are_evenly_spaced_and_seeded_by_their_row():

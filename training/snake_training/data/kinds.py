@@ -3,10 +3,10 @@
 import numpy as np
 
 from .sensors import View, depth_camera, standpoint, tripod_scan, whole_view
-from .shapes import primitive, sample_surface
+from .shapes import primitive, revolve, sample_surface, tube
 from .solids import CUBE, ROOM, Solids, about_axis
 from .views import bare_surface
-from .worlds import FURNITURE, any_turn, car, clutter
+from .worlds import FURNITURE, any_turn, car, clutter, room
 
 
 def part(cloud, rng):
@@ -58,6 +58,20 @@ def torus(rng, number=4000):
 def solid(rng, number):
     """Points (number, 3) of a box, cone, ring, plate or tube, in the unit ball."""
     return in_unit_ball(sample_surface(primitive(rng, np.exp(rng.uniform(-2.3, 0, 3))), number, rng))
+
+
+def vessel(rng, number=6000):
+    """Points (number, 3) of a cup, bowl, bottle or bin that is open at the top, at times with a handle, in the unit ball."""
+    height, thick, level = rng.uniform(0.3, 3), rng.uniform(0.02, 0.12), np.linspace(0, 1, 7)
+    outer = np.interp(level, np.linspace(0, 1, 4), rng.uniform(0.4, 1, 4) if rng.random() < 0.3 else [0.8, 1, 1, 1])
+    radius = np.concatenate([[0], outer, (1 - thick) * outer[::-1], [0]])
+    at = np.concatenate([[0], level, np.maximum(level[::-1], thick), [thick]]) * height
+    patches = revolve(radius, at, segments=rng.choice([5, 25, 25]))
+    if rng.random() < 0.5:
+        turn = np.linspace(-np.pi / 2, np.pi / 2, 12)
+        path = np.column_stack([outer[3] + 0.5 * np.cos(turn), 0 * turn, height * (0.5 + 0.3 * np.sin(turn))])
+        patches += tube(path, rng.uniform(0.03, 0.1))
+    return in_unit_ball(sample_surface(patches, number, rng))
 
 
 def thing(rng, number=6000):
@@ -120,6 +134,14 @@ def empty_room(rng):
             limits = 0.001, rng.uniform(0.0008, 0.004), 6.0, 0.4
             scans.append(whole_view(world, View(np.broadcast_to(eye, rays.shape), rays, *limits), rng))
     return np.concatenate(scans)
+
+
+def whole_room(rng):
+    """The points (N, 3) of a furnished room, sampled evenly, in metres."""
+    world, size = room(rng)
+    middle = np.array([0, 0, size[2] / 2])
+    points = world.surface(middle, size.max(), 10 ** rng.uniform(1.5, 2.7), rng)
+    return points[(np.abs(points - middle) < size / 2 + 0.01).all(axis=1)]
 
 
 def terrain(rng):

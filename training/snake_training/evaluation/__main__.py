@@ -32,6 +32,7 @@ COMMANDS = {
         "--epsilon": dict(type=float, nargs="+", help="distances of repeated keypoints; those of the paper by default"),
         "--table-epsilon": dict(type=float, help="the one of thinned and noisy views"),
         "--downsample": dict(type=int, nargs="+", default=(1, 2, 4, 8, 16), help="one point in so many is kept"),
+        "--downsample-one": dict(type=int, nargs="+", default=(), help="the same of one of the two alone"),
         "--noise": dict(type=float, nargs="+", help="standard deviations of noise; those of the paper by default"),
         "--num-points": dict(type=int, help="of each view; 5000 of objects, 2048 of KeypointNet, 10240 of rooms by default"),
         "--nms-radius": dict(type=float, help="of suppression; each method's own by default"),

@@ -54,8 +54,8 @@ def progress(rows, name):
 
 
 def repeatability(
-    data, methods=METHODS, external=(), split="", epsilon=None, table_epsilon=None, downsample=(1, 2, 4, 8, 16), noise=None,
-    num_points=None, max_keypoints=64, nms_radius=None, coverage=None, protocol="ranked", limit=None, seed=0, output=None, paper=False,
+    data, methods=METHODS, external=(), split="", epsilon=None, table_epsilon=None, downsample=(1, 2, 4, 8, 16), downsample_one=(),
+    noise=None, num_points=None, max_keypoints=64, nms_radius=None, coverage=None, protocol="ranked", limit=None, seed=0, output=None, paper=False,
 ):  # fmt: skip
     """Relative repeatability of methods on the views of a data set, with coverage, the share beyond chance and flat places.
 
@@ -73,6 +73,7 @@ def repeatability(
         raise ValueError("coverage and nms_radius: give one of them")
     number, rows = num_points or usual_points, spaced(len(views), limit)
     conditions = [CLEAN, *(Condition(rate) for rate in downsample), *(Condition(1, sigma) for sigma in noise)]
+    conditions += [Condition(rate, is_of_both=False) for rate in downsample_one]
     conditions = list(dict.fromkeys(conditions))
     spacing = ALL if coverage else OWN if nms_radius is None else nms_radius
     if views.files:
@@ -122,8 +123,8 @@ def repeatability(
 
     settings = {
         "data": str(data), "split": str(split), "epsilon": epsilon, "table_epsilon": table_epsilon, "downsample": list(downsample),
-        "noise": noise, "num_points": number, "max_keypoints": max_keypoints, "nms_radius": nms_radius, "coverage": coverage,
-        "limit": limit, "seed": seed,
+        "downsample_one": list(downsample_one), "noise": noise, "num_points": number, "max_keypoints": max_keypoints,
+        "nms_radius": nms_radius, "coverage": coverage, "limit": limit, "seed": seed,
     }  # fmt: skip
     return by_method("repeatability", methods, output, settings, figures, views.scale if paper else None)
 

@@ -9,10 +9,11 @@ from ..augment import choose, normalize, random_rotation
 
 @dataclass(frozen=True)
 class Condition:
-    """A disturbance of both views: one point in `downsample` is kept, and each coordinate has noise of a standard deviation."""
+    """A disturbance of both views, or of the second alone: one point in `downsample` is kept, with noise of a standard deviation."""
 
     downsample: int = 1
     noise: float = 0.0
+    is_of_both: bool = True
 
     def __post_init__(self):
         if self.downsample < 1 or not 0 <= self.noise < np.inf:
@@ -20,7 +21,12 @@ class Condition:
 
     def __str__(self):
         noise = f"σ {self.noise:g}" if self.noise else ""
-        return " ".join([f"1 in {self.downsample}"] * (self.downsample > 1) + [noise] * bool(noise)) or "clean"
+        words = (
+            [f"1 in {self.downsample}"] * (self.downsample > 1)
+            + [noise] * bool(noise)
+            + ["of one"] * (not self.is_of_both)
+        )
+        return " ".join(words) or "clean"
 
 
 CLEAN = Condition()
@@ -54,14 +60,14 @@ def draw_views(clouds, condition=CLEAN, num_points=5000, seed=0, row=0):
     clouds: an object (N, 3), whose second view has a random rotation and other points, or (cloud 1, cloud 2, t_1_2). A pair's `row`
     and the seed give the random choices; the rotation is the same under every condition.
     """
-    rng = np.random.default_rng([seed, row])
+    rng, conditions = np.random.default_rng([seed, row]), [condition if condition.is_of_both else CLEAN, condition]
     if isinstance(clouds, tuple):
-        first, second, t_1_2 = clouds
-        views = [disturbed(cloud, condition, rng, num_points) for cloud in (first, second)]
+        *both, t_1_2 = clouds
+        views = [disturbed(cloud, one, rng, num_points) for cloud, one in zip(both, conditions, strict=True)]
     else:
         rotation, t_1_2 = random_rotation(rng), np.eye(4)
         t_1_2[:3, :3] = rotation.T
-        views = [disturbed(clouds, condition, rng, num_points) for _ in range(2)]
+        views = [disturbed(clouds, one, rng, num_points) for one in conditions]
         views[1] = views[1] @ rotation.T
     return Views(*views, t_1_2, tuple(int(number) for number in rng.integers(2**32, size=2)))
 

@@ -18,7 +18,7 @@ use std::borrow::Cow;
 
 use nalgebra::{Matrix3, SymmetricEigen};
 
-use self::noise::{MAX_NOISE, noise_of_plane};
+use self::noise::{noise_across, noise_of_plane};
 pub(crate) use self::patches::Patches;
 use self::patches::{Anchors, Sums};
 use crate::Result;
@@ -67,8 +67,10 @@ const WALL: f64 = 0.19;
 /// So few cells do not tell. The radius grows by these factors until there are more.
 const MIN_ANCHORS: usize = 12;
 const GROWTHS: [f32; 4] = [1.0, 1.6, 2.5, 4.0];
-/// Noise that hides a plane within the radius has less than so many times its variance within larger ones; a bush has more.
-const THICKER: f64 = 1.7;
+/// Largest ratio of the variances across a plane within the radius and farther away if both are the same noise; a thing on a wall has more.
+const ALIKE: f64 = 1.25;
+/// The smallest such variance in squares of the radius: thinner planes are visible within it.
+const THICK: f64 = 0.03;
 /// Number of points of an object that are used, at most.
 const MANY: usize = 8_192;
 /// Points are dense if a cell of patches has more than this many on average: their resolution is then about 0.35 voxels.
@@ -227,15 +229,21 @@ fn is_wall(patches: &Patches, at: &Point) -> bool {
             break;
         }
     }
-    let noise = |radius, most| noise_of_plane(&patches.samples_near(at, radius), radius, most);
-    let is_noisy = |radius| noise(radius, MAX_NOISE).is_some();
-    let larger = || GROWTHS[1..].iter().filter_map(|growth| noise(growth * patches.radius, MAX_NOISE));
-    let is_thick_noise = |near: f64| larger().any(|far| far < THICKER * near);
+    let is_noisy = |radius| noise_of_plane(&patches.samples_near(at, radius), radius).is_some();
+    // The same noise as farther away hides the plane within the radius, where it is as thick as wide.
+    let is_thick_noise = |growth: &f32| {
+        let mut points = patches.samples_near(at, growth * patches.radius);
+        let Some((axes, far)) = noise_of_plane(&points, growth * patches.radius) else { return false };
+        points.retain(|point| (point - axes[0] * axes[0].dot(point)).norm() < f64::from(patches.radius));
+        let least = THICK * f64::from(patches.radius).powi(2);
+        let near = noise_across(&points, patches.radius, &axes);
+        near.is_some_and(|near| near > least && far < ALIKE * near && near < ALIKE * far)
+    };
     around.plane(0.0).is_some_and(|plane| plane.flatness < WALL)
         || patches.is_scene
             && (is_noisy(patches.radius)
                 || patches.noisy_radius(at).is_some_and(is_noisy)
-                || noise(patches.radius, f64::INFINITY).is_some_and(is_thick_noise))
+                || GROWTHS[1..].iter().any(is_thick_noise))
 }
 
 /// Weighted sums over the patches near a position, relative to it.

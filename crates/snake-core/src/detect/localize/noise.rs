@@ -17,29 +17,37 @@ const SQUARES: usize = 8;
 /// Fewer points, beyond one in each square, do not show the noise.
 const MIN_REPEATED: f64 = 12.0;
 
-/// The variance across the plane of points within a radius, if noise explains it: within small squares of the plane they vary across it
-/// as much as in all. At edges and corners they vary less within squares, whatever the noise. It is less than `most` of that along it.
-pub(super) fn noise_of_plane(points: &[Vector], radius: f32, most: f64) -> Option<f64> {
-    let (count, side) = (points.len() as f64, SQUARE * f64::from(radius));
-    let mean = points.iter().sum::<Vector>() / count;
+/// The principal axes of points within a radius and the variance along the first, across their plane, if it is noise and less
+/// than [`MAX_NOISE`] of that along the plane.
+pub(super) fn noise_of_plane(points: &[Vector], radius: f32) -> Option<([Vector; 3], f64)> {
+    let mean = points.iter().sum::<Vector>() / points.len() as f64;
     let products: Matrix3<f64> = points.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
     let SymmetricEigen { eigenvalues, eigenvectors } = products.symmetric_eigen();
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| eigenvalues[a].total_cmp(&eigenvalues[b]));
-    let (mut squares, mut within, mut fourth) = ([[0.0; 2]; SQUARES * SQUARES], 0.0, 0.0);
+    let axes = order.map(|axis| eigenvectors.column(axis).into());
+    let is_plane = eigenvalues[order[0]] < MAX_NOISE * eigenvalues[order[1]];
+    noise_across(points, radius, &axes).filter(|_| is_plane).map(|variance| (axes, variance))
+}
+
+/// The variance of points along the first axis, across a plane, if noise explains it: within small squares of the plane they vary
+/// across it as much as in all. At edges and corners they vary less within squares, whatever the noise.
+pub(super) fn noise_across(points: &[Vector], radius: f32, axes: &[Vector; 3]) -> Option<f64> {
+    let (count, side) = (points.len() as f64, SQUARE * f64::from(radius));
+    let mean = points.iter().sum::<Vector>() / count;
+    let mut squares = [[0.0; 2]; SQUARES * SQUARES];
+    let [mut across, mut width, mut fourth] = [0.0; 3];
     for point in points {
-        let [height, row, column] = order.map(|axis| eigenvectors.column(axis).dot(&(point - mean)));
+        let [height, row, column] = axes.map(|axis| axis.dot(&(point - mean)));
         let at = |offset: f64| (offset / side + 0.5 * SQUARES as f64).clamp(0.0, SQUARES as f64 - 1.0) as usize;
         let [number, sum] = &mut squares[at(row) * SQUARES + at(column)];
-        (*number, *sum, within) = (*number + 1.0, *sum + height, within + height * height);
-        fourth += height.powi(4);
+        (*number, *sum) = (*number + 1.0, *sum + height);
+        (across, width, fourth) = (across + height * height, width + row * row, fourth + height.powi(4));
     }
     let occupied = squares.iter().filter(|[number, _]| *number > 0.0);
-    within -= occupied.clone().map(|[number, sum]| sum * sum / number).sum::<f64>();
+    let within = across - occupied.clone().map(|[number, sum]| sum * sum / number).sum::<f64>();
     let repeated = count - occupied.count() as f64;
-    let [across, width, _] = order.map(|axis| eigenvalues[axis]);
     let has_two_sides = count * fourth < TWO_SIDES * across * across;
-    let is_noise = across / (count - 3.0) - within / repeated < RELIEF * width / count;
-    let is_plane = across < most * width && repeated >= MIN_REPEATED;
-    (is_plane && is_noise && !has_two_sides).then_some(across / count)
+    let is_noise = across / (count - 3.0) - within / repeated < RELIEF * (width + across) / count;
+    (repeated >= MIN_REPEATED && is_noise && !has_two_sides).then_some(across / count)
 }

@@ -101,6 +101,9 @@ fn walls_with_noise_and_places_along_edges_are_one_of_many_and_corners_and_board
         assert_eq!(is_one_of_many(&corner(planes, 0.01, sigma), start), expected, "{planes} {sigma}");
     }
     assert!(is_one_of_many(&corner(1, 0.2, 0.003), [0.5, 0.5, 0.01]), "five points are near");
+    let beside_floor = |[x, y, z]: Point| [[x, y, z], [x + 1.05, y, 0.02 * z]];
+    let noisy: Vec<Point> = corner(1, 0.01, 0.09).into_iter().flat_map(beside_floor).collect();
+    assert!(is_one_of_many(&noisy, [0.5, 0.5, 0.03]), "noise beside a quiet floor");
     let side = corner(1, 0.01, 0.003);
     let board: Vec<Point> = side.iter().copied().chain(side.iter().map(|[x, y, z]| [*x, *y, z + 0.07])).collect();
     assert!(!is_one_of_many(&board, [0.03, 0.02, 0.03]));
