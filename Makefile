@@ -3,7 +3,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-.PHONY: help quick test test-full dist site test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results pictures fuzz
+.PHONY: help quick test test-full dist test-aarch64 test-examples check golden bench bench-registration models wheel manylinux results pictures fuzz
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -142,16 +142,6 @@ pictures: module  ## every picture of the pages: make pictures DATA=FOLDER (obje
 dist: manylinux  ## target/dist: an archive of the program with completions and licences, and the wheel
 	python3 tools/dist.py
 	cp "$$(ls -t target/wheels/snake_rs-*manylinux*.whl | head -n 1)" target/dist
-
-$(VENV)/site-ready: $(VENV)/ready
-	$(PYTHON) -m pip install --quiet "mkdocs-material<10" "mkdocstrings[python]"
-	touch $@
-
-site: module $(VENV)/site-ready  ## target/site: the pages, the API of Python and of Rust; open target/site/index.html or serve it
-	python3 tools/site.py
-	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --quiet
-	cargo doc --release --exclude snake-keypoints --workspace --exclude snake-rs-python --no-deps
-	cp -r target/doc target/site/rustdoc
 
 wheel: $(VENV)/ready  ## a wheel of the Python module in target/wheels
 	$(VENV)/bin/maturin build --release --manifest-path python/Cargo.toml
