@@ -1,6 +1,7 @@
 """How often a verdict is wrong, by kind of pair: the confusion of right and reliable, for one program or several side by side.
 
     python tests/bench/confusion.py target/release/snake-cli [OTHER ...] [--seeds 0 6] [--kinds stairs ramp] [--scenes FOLDER]
+        [--options="--detector snake --set num_keypoints=60"]
 
 Kinds are those of made_pairs.py. `--scenes` adds the pairs of a folder of clouds (.npy) with `pairs.json`, by their overlap.
 """
@@ -45,9 +46,9 @@ def is_near(truth: np.ndarray, transform: np.ndarray) -> bool | None:
     return (degrees <= 15 and metres <= 0.3) or (None if degrees < 20 and metres < 0.7 else False)
 
 
-def run(program: str, files: list[Path]) -> tuple[np.ndarray, bool]:
+def run(program: str, files: list[Path], options: str) -> tuple[np.ndarray, bool]:
     """The transform, and whether it is reliable; without a transform the identity, not reliable."""
-    command = [program, "register", *map(str, files), "--json", "--threads", "1"]
+    command = [program, "register", *map(str, files), "--json", "--threads", "1", *options.split()]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"RAYON_NUM_THREADS": "1"})
     if done.returncode not in (0, 1, 2) or not done.stdout.strip():
         return np.eye(4), False
@@ -61,6 +62,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=[0, 6], help="first seed, and the one after the last")
     parser.add_argument("--kinds", nargs="*", default=list(made_pairs.KINDS), choices=made_pairs.KINDS, metavar="KIND")
     parser.add_argument("--scenes", type=Path)
+    parser.add_argument("--options", default="", help="of `register`, as one word")
     arguments = parser.parse_args()
     counts = [defaultdict(lambda: dict.fromkeys(OUTCOMES, 0)) for _ in arguments.programs]
     with tempfile.TemporaryDirectory() as folder:
@@ -68,7 +70,7 @@ def main() -> None:
         pairs = itertools.chain(pairs, made(arguments.kinds, range(*arguments.seeds), Path(folder)))
         for kind, files, is_right in pairs:
             for number, program in enumerate(arguments.programs):
-                transform, is_reliable = run(program, files)
+                transform, is_reliable = run(program, files, arguments.options)
                 answer = {True: "right, ", False: "wrong, ", None: "near"}[is_right(transform)]
                 told = answer if answer == "near" else answer + ("reliable" if is_reliable else "not")
                 counts[number][kind][told] += 1

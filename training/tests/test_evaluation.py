@@ -10,7 +10,7 @@ from snake_training.evaluation.repeatability import (
     coverage,
     radius_of_coverage,
     relative_repeatability,
-    repeatability_beyond_chance,
+    repeatability_of_seen,
     share_on_flat_places,
     suppress,
 )
@@ -50,12 +50,13 @@ def test_chance_is_what_random_points_of_the_other_view_would_find():
     points = LINE[:10]
 
     def beyond(first, second, *epsilon):
-        return repeatability_beyond_chance(first, second, points, SAME, epsilon)
+        return repeatability_of_seen(first, second, points, SAME, epsilon)[1]
 
     first = np.array([points[0], points[4], [90, 0, 0]])  # the last one is not seen
     # Two of ten points: each is drawn with probability 1/5, and one of two neighbours, or of three, with 17/45 and 24/45.
     chances = np.array([0.2, (17 / 45 + 24 / 45) / 2])
     assert beyond(first, points[[0, 8]], 0.5, 1.5) == pytest.approx((0.5 - chances) / (1 - chances))
+    assert repeatability_of_seen(first, points[[0, 8]], points, SAME, [0.5, 1.5])[0].tolist() == [0.5, 0.5]
     assert beyond(first, points[[7, 8]], 0.5) == pytest.approx(-0.25)  # worse than chance
     assert beyond(first, first[:2], 0.5) == 1 and beyond(first, [], 0.5) == 0
     assert np.isnan(beyond(first[2:], first, 0.5, 1.5)).all() and np.isnan(beyond(first, points, 0.5))

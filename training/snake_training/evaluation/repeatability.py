@@ -1,4 +1,4 @@
-"""Relative repeatability of keypoints, and what tells it from chance: coverage, the share beyond chance, flat places.
+"""Relative repeatability of keypoints, and what tells it from chance: the places that were seen, coverage, flat places.
 
 Keypoints are (K, 3) in the frame of their view. `t_1_2` (4, 4) maps view 2 to the frame of view 1.
 """
@@ -25,17 +25,18 @@ def relative_repeatability(keypoints_1, keypoints_2, t_1_2, epsilon):
     return (cKDTree(second).query(first)[0][:, None] < limits).mean(axis=0)
 
 
-def repeatability_beyond_chance(keypoints_1, keypoints_2, points_2, t_1_2, epsilon):
-    """Relative repeatability (T,) beyond chance, of the keypoints of view 1 that have a point of view 2 nearer than `epsilon`.
+def repeatability_of_seen(keypoints_1, keypoints_2, points_2, t_1_2, epsilon):
+    """Relative repeatability of the keypoints of view 1 that have a point of view 2 nearer than `epsilon`: the share, and that beyond
+    chance (2, T).
 
-    It is (share - chance) / (1 - chance); chance is the expected share if view 2 had as many random ones of its `points_2`
+    The latter is (share - chance) / (1 - chance); chance is the expected share if view 2 had as many random ones of its `points_2`
     (N, 3) as it has keypoints. 1 is perfect, 0 is chance; NaN where view 2 sees no keypoint, or chance finds every one.
     """
     first, second = points_of("keypoints_1", keypoints_1), points_of("keypoints_2", keypoints_2)
     limits, transform = lengths_of("epsilon", epsilon), transform_of("t_1_2", t_1_2)
     points = moved(points_of("points_2", points_2), transform)
     if len(points) == 0 or len(first) == 0:
-        return np.full(len(limits), np.nan)
+        return np.full((2, len(limits)), np.nan)
     distance = cKDTree(moved(second, transform)).query(first)[0] if len(second) else np.full(len(first), np.inf)
     tree, drawn = cKDTree(points), np.arange(min(len(second), len(points)))
     values = []
@@ -45,9 +46,9 @@ def repeatability_beyond_chance(keypoints_1, keypoints_2, points_2, t_1_2, epsil
         # None of the drawn points is near if all are drawn from those that are farther away.
         missed = np.maximum(len(points) - near[seen, None] - drawn, 0) / (len(points) - drawn)
         chance = 1 - missed.prod(axis=1).mean() if seen.any() else 1.0
-        share = (distance[seen] < limit).mean() if seen.any() else 0.0
-        values.append((share - chance) / (1 - chance) if chance < 1 else np.nan)
-    return np.array(values)
+        share = (distance[seen] < limit).mean() if seen.any() else np.nan
+        values.append((share, (share - chance) / (1 - chance) if chance < 1 else np.nan))
+    return np.transpose(values)
 
 
 def coverage(points, keypoints):

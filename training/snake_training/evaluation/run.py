@@ -18,7 +18,7 @@ from .repeatability import coverage as coverage_of
 from .repeatability import (
     radius_of_coverage,
     relative_repeatability,
-    repeatability_beyond_chance,
+    repeatability_of_seen,
     share_on_flat_places,
     suppress,
 )
@@ -57,7 +57,7 @@ def repeatability(
     data, methods=METHODS, external=(), split="", epsilon=None, table_epsilon=None, downsample=(1, 2, 4, 8, 16), downsample_one=(),
     noise=None, num_points=None, max_keypoints=64, nms_radius=None, coverage=None, protocol="ranked", limit=None, seed=0, output=None, paper=False,
 ):  # fmt: skip
-    """Relative repeatability of methods on the views of a data set, with coverage, the share beyond chance and flat places.
+    """Relative repeatability of methods on the views of a data set, and of places that both views saw, beyond chance; with coverage and flat places.
 
     All methods see the same views: clean ones, thinned ones and noisy ones, the latter two at `table_epsilon`. With `coverage` each
     method's keypoints are suppressed until their mean distance from the points is that, by one radius a condition, found on the first views.
@@ -102,8 +102,8 @@ def repeatability(
     def pair_rows(method, condition, row, drawn, first, second):
         """The figures of one pair. Clean views are also the first of the thinned and of the noisy ones."""
         shares = relative_repeatability(first, second, drawn.t_1_2, epsilon)
-        beyond = repeatability_beyond_chance(first, second, drawn.view_2, drawn.t_1_2, epsilon)
-        for distance, *values in zip(epsilon, shares, beyond):
+        seen = repeatability_of_seen(first, second, drawn.view_2, drawn.t_1_2, epsilon)
+        for distance, *values in zip(epsilon, shares, *seen):
             names = [f"ε {distance:g}"] if condition == CLEAN else []
             if distance == table_epsilon:
                 is_first = condition == CLEAN
@@ -111,7 +111,7 @@ def repeatability(
                 names += [f"ε {distance:g}, 1 in 1"] if is_first and 1 in downsample and len(downsample) > 1 else []
                 names += [f"ε {distance:g}, σ 0"] if is_first and 0 in noise and len(noise) > 1 else []
             for name in names:
-                for metric, value in zip(("repeatability", "beyond chance"), values):
+                for metric, value in zip(("repeatability", "of seen", "beyond chance"), values):
                     yield metric, method.name, name, views.names[row], value
         others = {
             "coverage": coverage_of(drawn.view_1, first) if len(first) else np.nan,
