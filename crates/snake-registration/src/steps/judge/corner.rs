@@ -12,8 +12,6 @@ const PLANES: usize = 4;
 /// Smallest share of the shared places that lie off these planes, given their thickness, and on the target. Corners of bare rooms, plain
 /// houses, cartons and cupboards have 0 to 0.034; right and reliable answers in real rooms 0.043 and more.
 const MIN_TELLING: f64 = 0.035;
-/// Places coincide, or lie on a plane, within so many sides of a fine voxel: a coarser voxel of a house is as thick as its windows.
-const FINE: f64 = 5.0;
 /// A place on a plane has a normal at least this parallel to it. It is low because of noise.
 const PARALLEL: f64 = 0.7;
 /// Number of places that propose planes, and number of places that choose among them, at most.
@@ -27,8 +25,7 @@ type Plane = (Vector, Vector);
 
 /// A note if hardly any place that the clouds share lies off so few planes.
 pub(super) fn corner_note(pair: &Pair, transform: &IsometryMatrix3<f64>) -> Result<Option<String>> {
-    let fine = pair.fine()?;
-    let inlier_distance = pair.criteria().inlier_distance.min(FINE * f64::max(fine[0].side, fine[1].side));
+    let (fine, inlier_distance) = (pair.fine()?, pair.criteria().inlier_distance);
     let distance = NEAR * inlier_distance;
     let mut places = overlap(fine, transform, distance).places;
     let (count, step) = (places.len() as f64, places.len().div_ceil(PROPOSED).max(1));
