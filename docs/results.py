@@ -23,6 +23,7 @@ PAGE = Path("docs/results.md")
 OBJECT_COVERAGE, ROOM_COVERAGE = "0.14", "0.197"
 PAIRS = "30"  # of scenes, evenly spaced, in repeatability
 OURS, CLASSICAL = ("compact", "standard"), ("surface-variation", "iss", "harris3d", "sift3d", "fps", "random")
+ROOMS = "scenes", "iss", "harris3d", "sift3d", "random"
 CORNERS = tuple(f"{model}:prefer=corners" for model in OURS)
 PAPER_MODEL = Path("models/paper.safetensors")
 SURFACES = "--methods", "middle", "level", "poisson", "--downsample", "8", "--noise", "0.03"
@@ -99,11 +100,11 @@ def scenes_tables(folder: str) -> dict[str, str]:
     """Tables on rooms; draws their curves."""
     pairs = f"repeatability {folder} --noise 0 --limit {PAIRS} --table-epsilon"
     alike = f"{pairs} 0.16 --epsilon 0.05 0.1 0.16 --coverage {ROOM_COVERAGE} --downsample 1 8 --downsample-one 8"
-    alike = run("scenes", alike, ("scenes", *CLASSICAL))
+    alike = run("scenes", alike, ROOMS)
     many = f"{pairs} 0.1 --max-keypoints 256 --num-points 1000000 --epsilon 0.05 0.1 --downsample 1"
-    many = run("scenes-default", many, ("scenes", "iss", "fps"))
+    many = run("scenes-default", many, ("scenes", "iss"))
     found = f"registration {folder} --max-keypoints 500 250 100"
-    found = run("scenes-0", found, ("scenes", *CLASSICAL, "register"))
+    found = run("scenes-0", found, ROOMS)
     shutil.copy(RUNS / "scenes/repeatability.svg", PAGE.with_name("repeatability-scenes.svg"))
     return {
         "scenes": repeatability_table(
