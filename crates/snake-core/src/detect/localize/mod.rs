@@ -230,7 +230,7 @@ fn is_wall(patches: &Patches, at: &Point) -> bool {
         }
     }
     let is_noisy = |radius| noise_of_plane(&patches.samples_near(at, radius), radius).is_some();
-    // The same noise as farther away hides the plane within the radius, where it is as thick as wide.
+    // The same noise as a little farther away hides the plane within the radius, where it is as thick as wide.
     let is_thick_noise = |growth: &f32| {
         let mut points = patches.samples_near(at, growth * patches.radius);
         let Some((axes, far)) = noise_of_plane(&points, growth * patches.radius) else { return false };
@@ -243,7 +243,7 @@ fn is_wall(patches: &Patches, at: &Point) -> bool {
         || patches.is_scene
             && (is_noisy(patches.radius)
                 || patches.noisy_radius(at).is_some_and(is_noisy)
-                || GROWTHS[1..].iter().any(is_thick_noise))
+                || GROWTHS[1..3].iter().any(is_thick_noise))
 }
 
 /// Weighted sums over the patches near a position, relative to it.
