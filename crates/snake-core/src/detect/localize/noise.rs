@@ -7,7 +7,7 @@ use snake_geometry::Vector;
 /// The points within a radius form a wall if the ratio of their variances across and along is below the first value, and that
 /// without noise below the second. Walls with noise of 0.0015 z² have 0.12 to 0.25, and 0.01 without noise; most edges in real
 /// rooms have 0.05 to 0.3 without noise.
-pub(super) const MAX_NOISE: f64 = 0.35;
+const MAX_NOISE: f64 = 0.35;
 const RELIEF: f64 = 0.03;
 /// The two sides of a board are no noise: the kurtosis across it is below this. Noise has 3, two sides 1.
 const TWO_SIDES: f64 = 1.9;
