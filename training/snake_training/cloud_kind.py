@@ -15,19 +15,7 @@ import torch
 from snake_rs._core import scene_signs
 
 from .arguments import option, parser_of
-from .data.kinds import (
-    empty_room,
-    in_any_frame,
-    lattice,
-    part,
-    solid,
-    terrain,
-    thing,
-    torus,
-    varied,
-    vessel,
-    whole_room,
-)
+from .data.kinds import empty_room, even_room, in_any_frame, lattice, part, solid, terrain, thing, torus, varied, vessel
 from .data.landmarks import landmarks
 from .data.sensors import drive, scene_cloud
 from .data.shapes import Procedural
@@ -98,7 +86,7 @@ def training_groups(corpus, made, rng):
             signs(make(vessel(rng), rng) for _ in range(made // 2) for make in (in_any_frame, *2 * (one_sided,))),
             False,
         ),
-        "whole rooms": (changed(several(whole_room)), True),
+        "whole rooms": (changed(several(even_room)), True),
     }
 
 

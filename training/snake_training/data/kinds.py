@@ -136,7 +136,7 @@ def empty_room(rng):
     return np.concatenate(scans)
 
 
-def whole_room(rng):
+def even_room(rng):
     """The points (N, 3) of a furnished room, sampled evenly, in metres."""
     world, size = room(rng)
     middle = np.array([0, 0, size[2] / 2])

@@ -146,6 +146,21 @@ mod tests {
     }
 
     #[test]
+    fn a_shift_that_the_sensor_saw_through_is_not_taken_though_it_overlaps_more() {
+        let at = |i: i32, scale: f64| scale * (0.1 * f64::from(i) - 1.0);
+        let wall = |x, scale, count| (0..count).map(move |i| Vector::new(x, at(i % 20, scale), at(i / 20, scale)));
+        let own: Vec<_> = wall(3.0, 1.0, 400).chain(wall(2.0, 0.5, 320)).collect();
+        let seen: Vec<_> = wall(4.0, 1.0, 400).collect();
+        let normals = vec![-Vector::x(); own.len()];
+        let target = Surface::new(&seen, &normals[..400], Some(Vector::zeros()), 0.2);
+        let surfaces = [Surface::new(&own, &normals, None, 0.2), target];
+        let frame = [Vector::x(), Vector::y(), Vector::z()];
+        let turns = [((), Rotation3::identity())].into_iter();
+        let found = after_turns(&surfaces, &IsometryMatrix3::identity(), turns, &frame);
+        assert!((found[0].1.translation.x - 2.0).abs() < 0.1, "{found:?}");
+    }
+
+    #[test]
     fn turns_are_rotations_and_reflections_are_not() {
         let frame = [Vector::x(), Vector::y(), Vector::z()];
         let determinants = |all: Vec<Rotation3<f64>>| all.iter().map(|r| r.matrix().determinant()).collect::<Vec<_>>();
