@@ -42,9 +42,11 @@ const SAMPLES: usize = 2500;
 /// Patches show what the overlap leaves open if they make up this share of it. Unit: share of the overlap. Corridors,
 /// tunnels and balls have 0.7 and more, wires and rough objects less.
 const MIN_PLANAR: f64 = 0.5;
-/// Two patches are apart beyond this many times their joint thickness. Unit: standard deviations. With 2, drift in real rooms looks like a slid slope.
+/// A surface is apart from a plane beyond this many times their joint thickness. Unit: standard deviations.
 const APART: f64 = 4.0;
-/// Two patches must also be apart by this, because surfaces without noise have no thickness. Unit: greatest distances.
+/// Two patches are apart if they are also by this many times the median thickness: fused rooms drift by up to that. Unit: standard deviations.
+const MEDIANS: f64 = 15.0;
+/// And by this, because surfaces without noise have no thickness. Unit: greatest distances.
 const MIN_APART: f64 = 0.05;
 /// Minimum noise of a pair of patches. Unit: fine voxels. Set by hand.
 const MIN_NOISE: f64 = 0.05;
@@ -237,7 +239,7 @@ pub(crate) fn overlap(
         let thickness = patches[0].thickness.hypot(patches[1].thickness);
         let thin = (patches.iter().all(|patch| patch.is_thin) && cosine.abs() > AGREEING_COSINE).then(|| {
             let distance = normal.dot(&(target.cloud.points[nearest] - point));
-            (PlanePair { point, normal, distance }, distance.abs() > apart(thickness))
+            (PlanePair { point, normal, distance }, thickness)
         });
         let (mean, noise) = (moved(transform, &patches[0].mean), thickness.max(MIN_NOISE * target.side));
         let distance = normal.dot(&(patches[1].mean - mean)) / noise;
@@ -250,7 +252,12 @@ pub(crate) fn overlap(
     let (places, pairs): (Vec<_>, Vec<_>) = pairs.into_iter().unzip();
     let count = pairs.len().max(1) as f64;
     let (thin, weighed): (Vec<_>, Vec<_>) = pairs.into_iter().flatten().unzip();
-    let (patches, are_apart): (Vec<PlanePair>, Vec<bool>) = thin.into_iter().flatten().unzip();
+    let (patches, thicknesses): (Vec<PlanePair>, Vec<f64>) = thin.into_iter().flatten().unzip();
+    let mut sorted = thicknesses.clone();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let usual = MEDIANS * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let is_apart = |(pair, thickness): (&PlanePair, &f64)| pair.distance.abs() > usual.max(apart(*thickness));
+    let are_apart = patches.iter().zip(&thicknesses).map(is_apart).collect();
     let weighed = weighed.into_iter().flatten().collect();
     Overlap { places, planar: patches.len() as f64 / count, patches, are_apart, weighed }
 }
@@ -298,5 +305,19 @@ mod tests {
         assert_eq!(lies_on(&beams, [1.5, 1.1, 0.0]), Some(true));
         // Nothing is near.
         assert_eq!(lies_on(&dense, [1.5, 1.5, 0.9]), None);
+    }
+    #[test]
+    fn windows_elsewhere_lie_apart_and_drift_does_not() {
+        let wall = |windows: std::ops::Range<usize>, drift: f32| {
+            let point = |i: usize| {
+                let (x, y, noise) = (i % 80, i / 80, (i * 7919 % 17) as f32 * 1e-3);
+                let out = if windows.contains(&x) && windows.contains(&y) { 0.15 } else { 0.0 };
+                [x as f32 * 0.1, y as f32 * 0.1, out + noise + drift]
+            };
+            FineCloud::new(&(0..6400).map(point).collect::<Vec<_>>(), 0.4, 1).unwrap()
+        };
+        let apart = |source, target| overlap([&source, &target], &IsometryMatrix3::identity(), 0.4).apart();
+        assert_eq!(apart(wall(10..30, 0.0), wall(10..30, 0.05)), 0.0);
+        assert!(apart(wall(10..30, 0.0), wall(50..70, 0.0)) > 0.1);
     }
 }
