@@ -309,7 +309,7 @@ fn posts_that_stand_still_beside_traffic_that_keeps_pace_make_it_ambiguous() {
     let note = registration.verdict.notes.iter().find(|note| note.contains("as a whole")).unwrap();
     assert!(note.contains("moved by 17.") || note.contains("moved by 16.9"), "{note}");
     // Vehicles that drift lie apart.
-    let apart = |note: &String| note.contains("face along (1.00, 0.00, 0.00) lie apart");
+    let apart = |note: &String| note.contains("lie apart");
     let registration = run(&motorway(0.0, 0.0, 1), &motorway(17.0, 0.5, 2)).unwrap();
     assert!(!registration.verdict.is_reliable && registration.verdict.notes.iter().any(apart), "{registration:?}");
     // If the sensor did stand still, nothing moved as a whole, and nothing lies apart.

@@ -258,8 +258,8 @@ pub(crate) fn overlap(
     let usual = MEDIANS * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
     let is_apart = |(pair, thickness): (&PlanePair, &f64)| pair.distance.abs() > usual.max(apart(*thickness));
     let are_apart = patches.iter().zip(&thicknesses).map(is_apart).collect();
-    let weighed = weighed.into_iter().flatten().collect();
-    Overlap { places, planar: patches.len() as f64 / count, patches, are_apart, weighed }
+    let planar = patches.len() as f64 / count;
+    Overlap { places, planar, patches, are_apart, weighed: weighed.into_iter().flatten().collect() }
 }
 
 impl Overlap {
@@ -268,20 +268,13 @@ impl Overlap {
         self.planar >= MIN_PLANAR
     }
 
-    /// The share of the patches that are apart, given their thickness; 0 for fewer than [`MIN_PAIRS`].
-    pub(crate) fn apart(&self) -> f64 {
-        self.apart_of(MIN_PAIRS, |_| true)
-    }
-
-    /// The share of the patches that face along an axis that are apart; 0 for fewer than [`MIN_FACING`].
-    pub(crate) fn apart_along(&self, axis: &Vector) -> f64 {
-        self.apart_of(MIN_FACING, |patch| patch.normal.dot(axis).abs() > AGREEING_COSINE)
-    }
-
-    fn apart_of(&self, min: usize, counts: impl Fn(&PlanePair) -> bool) -> f64 {
+    /// The share that is apart of the patches, or of those that face along an axis; 0 for fewer than [`MIN_PAIRS`] or [`MIN_FACING`].
+    pub(crate) fn apart(&self, axis: Option<&Vector>) -> f64 {
+        let counts = |patch: &PlanePair| axis.is_none_or(|axis| patch.normal.dot(axis).abs() > AGREEING_COSINE);
         let counted = self.patches.iter().zip(&self.are_apart).filter(|(patch, _)| counts(patch));
         let apart: Vec<bool> = counted.map(|(_, is_apart)| *is_apart).collect();
         let number = apart.iter().filter(|is_apart| **is_apart).count();
+        let min = if axis.is_some() { MIN_FACING } else { MIN_PAIRS };
         if apart.len() < min { 0.0 } else { number as f64 / apart.len() as f64 }
     }
 }
@@ -316,7 +309,7 @@ mod tests {
             };
             FineCloud::new(&(0..6400).map(point).collect::<Vec<_>>(), 0.4, 1).unwrap()
         };
-        let apart = |source, target| overlap([&source, &target], &IsometryMatrix3::identity(), 0.4).apart();
+        let apart = |source, target| overlap([&source, &target], &IsometryMatrix3::identity(), 0.4).apart(None);
         assert_eq!(apart(wall(10..30, 0.0), wall(10..30, 0.05)), 0.0);
         assert!(apart(wall(10..30, 0.0), wall(50..70, 0.0)) > 0.1);
     }

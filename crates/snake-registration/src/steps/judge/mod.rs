@@ -31,6 +31,7 @@ use crate::steps::refine::{Candidate, refine};
 use constraint::Constraint;
 use corner::corner_note;
 use evidence::{Evidence, is_rival};
+use repeats::axes;
 use rival::Rival;
 use rivals::rivals;
 pub(crate) use scale::best_scale;
@@ -38,7 +39,7 @@ use scale::better_scale;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
-use standing::{apart_note, are_at_one_place};
+use standing::are_at_one_place;
 use together::together_note;
 
 /// The next transform is a rival if the lead over it is smaller than this, where single matches
@@ -88,9 +89,8 @@ pub fn judge(pair: &Pair, matches: &[Match], candidates: &[Candidate]) -> Result
 ///
 /// A rival that explains significantly more is refined and becomes the answer, which is ambiguous and no more confident.
 /// A rival that explains about as much makes the registration ambiguous and not reliable: notes say what repeats, and the
-/// rivals follow the best in `hypotheses`. So does an overlap of a few planes. A part of the scene that moved as a whole, and
-/// surfaces along one axis that lie apart, do the same if the sensors would stand at one place. A mirror image that fits better
-/// also makes it not reliable.
+/// rivals follow the best in `hypotheses`. So do an overlap of a few planes, and a part of the scene that moved as a whole if
+/// the sensors would stand at one place. A mirror image that fits better also makes it not reliable.
 ///
 /// # Errors
 /// [`Error::Input`] when the points of a cloud cannot be indexed.
@@ -125,7 +125,7 @@ pub fn challenge(
     }
     let mut notes: Vec<String> = corner_note(pair, transform)?.into_iter().collect();
     if is_standing {
-        notes.extend([together_note(pair, transform)?, apart_note(pair, transform)?].into_iter().flatten());
+        notes.extend(together_note(pair, transform)?);
     }
     equal.retain(Rival::is_equal);
     if equal.is_empty() && notes.is_empty() {
@@ -153,6 +153,7 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
     let surfaces = pair.surfaces();
     let fine = pair.fine()?;
     let overlap = overlap(fine, transform, patches::NEAR * fit.inlier_distance);
+    let wide = patches::overlap(fine, transform, fit.inlier_distance);
     let information = Matrix6::from_fn(|row, column| fit.information[row][column]);
     let slide_margin = slide_margin(surfaces, transform, &best.agreement, &information, fit.inlier_distance);
     let constraint = Constraint::from_overlap(&overlap, slide_margin);
@@ -174,7 +175,8 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         num_open: constraint.open.ncols(),
         open_motions: open_motions::names(&constraint.open),
         weakest_constraint: constraint.weakest,
-        apart: patches::overlap(fine, transform, fit.inlier_distance).apart(),
+        apart: wide.apart(None),
+        apart_along: axes(&wide.patches).into_iter().flatten().map(|axis| wide.apart(Some(&axis))).fold(0.0, f64::max),
         has_rival,
         lead,
     };
