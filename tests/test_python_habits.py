@@ -35,8 +35,7 @@ def same(a: snake_rs.Keypoints, b: snake_rs.Keypoints) -> bool:
 
 def test_a_model_is_also_a_name_or_a_path(tmp_path):
     points = torus()
-    by_name = snake_rs.detect(points, model="standard")
-    assert same(by_name, snake_rs.detect(points, snake_rs.Model.builtin("standard")))
+    assert same(snake_rs.detect(points, "standard"), snake_rs.detect(points, snake_rs.Model.builtin("standard")))
     with pytest.raises(ValueError, match="no built-in model large; known are compact, standard"):
         snake_rs.detect(points, model="large")
     with pytest.raises(FileNotFoundError):

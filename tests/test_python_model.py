@@ -26,12 +26,6 @@ def test_a_model_has_its_configuration_and_metadata(model):
     )
 
 
-def test_builtin_model_is_the_default(points):
-    builtin = snake_rs.Model.builtin()
-    options = builtin.recommended | {"query_resolution": 8, "refine_steps": 1}
-    assert same(snake_rs.detect(points, **options), snake_rs.detect(points, builtin, **options))
-
-
 def test_load_and_from_bytes_give_the_same_model(model, field, points):
     path = GOLDEN / "odd" / "weights.safetensors"
     for other in (snake_rs.Model.from_bytes(path.read_bytes()), snake_rs.Model.load(str(path))):
@@ -42,8 +36,6 @@ def test_load_and_from_bytes_give_the_same_model(model, field, points):
 def test_models_can_be_pickled(model, field, points):
     copy = pickle.loads(pickle.dumps(model))
     assert np.array_equal(copy.encode(points).volume, field.volume)
-    builtin = pickle.dumps(snake_rs.Model.builtin())
-    assert len(builtin) < 1000 and pickle.loads(builtin).config == snake_rs.Model.builtin().config
 
 
 def test_built_in_models_have_names(points):
