@@ -44,10 +44,10 @@ const SAMPLES: usize = 2500;
 const MIN_PLANAR: f64 = 0.5;
 /// A surface is apart from a plane beyond this many times their joint thickness. Unit: standard deviations.
 const APART: f64 = 4.0;
+/// It is apart by this at least, because surfaces without noise have no thickness. Unit: greatest distances.
+const MIN_APART: f64 = 0.05;
 /// Two patches are apart if they are also by this many times the median thickness: fused rooms drift by up to that. Unit: standard deviations.
 const MEDIANS: f64 = 15.0;
-/// And by this, because surfaces without noise have no thickness. Unit: greatest distances.
-const MIN_APART: f64 = 0.05;
 /// Minimum noise of a pair of patches. Unit: fine voxels. Set by hand.
 const MIN_NOISE: f64 = 0.05;
 /// A surface farther from a place does not show whether the place lies on it. Unit: inlier distances. Half and twice

@@ -235,6 +235,8 @@ impl<'a, 'p> Search<'a, 'p> {
         match finer.run() {
             Err(error) if !matches!(error, Error::Cancelled | Error::DeadlineExceeded) => Err(none()),
             Ok(found) if !found.verdict.is_reliable => Ok(self.confirmed(&found, tried).unwrap_or(found)),
+            // Within the smaller inlier distance surfaces that lie apart are not near any more.
+            Ok(found) if judge::lies_apart(self.pair, found.t_target_source.isometry())? => Err(none()),
             outcome => outcome,
         }
     }

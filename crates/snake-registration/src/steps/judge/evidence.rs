@@ -15,12 +15,6 @@ const DOUBTFUL_CONSTRAINT: f64 = 2e-4;
 /// Matches with a smaller spread lie on one plane or line and do not fix a transform, however many agree. Unit: inlier
 /// distances. Half and twice change no outcome.
 const MIN_MATCH_SPREAD: f64 = 0.25;
-/// Largest share of patches within the inlier distance that lie apart, given their thickness. Of wrong sides of houses 12 of 14 have
-/// 0.045 to 0.11; right answers in 192 pairs of real rooms have 0 to 0.026, in made scenes up to 0.013.
-const MAX_APART: f64 = 0.03;
-/// The same of those that face along one axis, because ground and guard rails coincide whatever a sensor did. Of vehicles that keep pace with it,
-/// but not to the centimetre, 0.16 to 1 lie apart, in scenes at rest up to 0.25.
-const MAX_APART_ALONG: f64 = 0.5;
 /// Bias of the logistic regression. Unit: log-odds. It is 3.2 below the fitted bias, so that a
 /// confidence of 0.5 is a probability of about 0.95.
 const BIAS: f64 = -8.5;
@@ -54,10 +48,8 @@ pub(super) struct Evidence<'a> {
     pub(super) open_motions: String,
     /// See [`Verdict::weakest_constraint`](crate::Verdict::weakest_constraint).
     pub(super) weakest_constraint: f64,
-    /// Share of the patches that lie apart relative to their thickness.
-    pub(super) apart: f64,
-    /// The greatest share of those that face along one axis.
-    pub(super) apart_along: f64,
+    /// Whether surfaces lie apart, given their thickness.
+    pub(super) lies_apart: bool,
     /// Whether another transform fits the surfaces and the matches about as well.
     pub(super) has_rival: bool,
     /// The lead of the transform's score over that of the next, if single matches were compared.
@@ -94,10 +86,6 @@ impl Evidence<'_> {
 
     fn has_few_matches(&self) -> bool {
         self.matches.num_agreeing < MIN_AGREEING
-    }
-
-    fn lies_apart(&self) -> bool {
-        self.apart > MAX_APART || self.apart_along > MAX_APART_ALONG
     }
 
     fn has_flat_matches(&self) -> bool {
@@ -150,7 +138,7 @@ impl Evidence<'_> {
         let unrivalled = (self.weakest_constraint / DOUBTFUL_CONSTRAINT).min(1.0) / (1.0 + (-sum).exp());
         if self.has_rival {
             (unrivalled / 2.0).min(MAX_DOUBTFUL)
-        } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart() {
+        } else if self.has_few_matches() || self.has_flat_matches() || self.lies_apart {
             unrivalled.min(MAX_DOUBTFUL)
         } else {
             unrivalled
@@ -179,8 +167,8 @@ impl Evidence<'_> {
         if self.has_flat_matches() && !self.has_few_matches() {
             notes.push("the matches that agree lie on one plane or line, which does not fix a transform".into());
         }
-        if self.lies_apart() {
-            notes.push("the surfaces lie apart: they are thinner than the distance between them".into());
+        if self.lies_apart {
+            notes.push("the surfaces lie apart by more than they are thick: it is wrong, things changed, or a cloud is bent or scaled".into());
         }
         if notes.is_empty() && self.confidence() < RELIABLE {
             let worst = self.terms().max_by(|a, b| a.missing().total_cmp(&b.missing()));
@@ -216,8 +204,7 @@ mod tests {
             num_open: 0,
             open_motions: String::new(),
             weakest_constraint: 0.03,
-            apart: 0.0,
-            apart_along: 0.0,
+            lies_apart: false,
             has_rival: false,
             lead: None,
         };
@@ -231,13 +218,12 @@ mod tests {
         let (usual, _) = changed(|_, _, _| ());
         assert!(usual > 0.9, "{usual}");
         type Change = fn(&mut Fit, &mut Matches, &mut Evidence);
-        let worse: [(&str, Change); 9] = [
+        let worse: [(&str, Change); 8] = [
             ("few matches", |_, m, e| {
                 (m.num_agreeing, m.spread, e.slide_margin) = (9, 0.9, 9.0);
             }),
             ("weak constraint", |_, m, e| (m.num_agreeing, e.weakest_constraint) = (9999, 8e-5)),
-            ("a part apart", |_, m, e| (m.num_agreeing, e.apart) = (9999, 0.04)),
-            ("an axis apart", |_, m, e| (m.num_agreeing, e.apart_along) = (9999, 0.6)),
+            ("a part apart", |_, m, e| (m.num_agreeing, e.lies_apart) = (9999, true)),
             ("rival matches", |_, m, e| (m.num_agreeing, m.num_rival_agreeing, e.slide_margin) = (20, 40, 0.0)),
             ("free space", |_, _, e| e.violation = 0.2),
             ("a better slide", |_, m, e| (m.num_agreeing, e.slide_margin) = (15, -0.1)),
@@ -269,7 +255,7 @@ mod tests {
         assert!(note(|_, _, e| e.has_rival = true).contains("another transform"));
         assert!(note(|_, m, _| m.num_agreeing = 9).contains("only 9 matches"));
         assert!(note(|_, m, _| m.spread = 0.01).contains("one plane or line"));
-        assert!(note(|_, _, e| e.apart = 0.4).contains("lie apart"));
+        assert!(note(|_, _, e| e.lies_apart = true).contains("lie apart"));
         assert!(note(|_, _, e| e.violation = 0.2).contains("above all because 20.0 % of the voxels"));
         assert!(note(|_, m, e| (m.num_agreeing, e.slide_margin) = (10, 0.0)).contains("because"));
     }
