@@ -321,5 +321,8 @@ mod tests {
         let mut repeats = off(0.3);
         repeats.verdict.repeat_fit = 1.0;
         assert!(!confirms(&repeats, &single));
+        let mut weak = single.clone();
+        (weak.verdict.confidence, weak.verdict.is_reliable) = (0.6, true);
+        assert!(less_confident(weak).verdict.notes.last().unwrap().starts_with("not reliable"));
     }
 }

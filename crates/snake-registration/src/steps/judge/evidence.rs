@@ -65,12 +65,6 @@ struct Term {
     words: String,
 }
 
-impl Term {
-    fn missing(&self) -> f64 {
-        self.most - self.value
-    }
-}
-
 /// Whether a transform fits about as well as the best; each comes with the number of matches that
 /// agree.
 pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
@@ -171,7 +165,7 @@ impl Evidence<'_> {
             notes.push("the surfaces lie apart by more than they are thick: it is wrong, things changed, or a cloud is bent or scaled".into());
         }
         if notes.is_empty() && self.confidence() < RELIABLE {
-            let worst = self.terms().max_by(|a, b| a.missing().total_cmp(&b.missing()));
+            let worst = self.terms().max_by(|a, b| (a.most - a.value).total_cmp(&(b.most - b.value)));
             notes.extend(worst.map(|term| format!("not reliable, above all because {}", term.words)));
         }
         notes

@@ -321,6 +321,9 @@ fn open_alone(pair: &Pair) -> Result<Option<String>> {
 pub(crate) fn less_confident(mut registration: Registration) -> Registration {
     let verdict = &mut registration.verdict;
     verdict.confidence /= 2.0 - verdict.confidence;
+    if verdict.is_reliable && verdict.confidence < RELIABLE {
+        verdict.notes.push("not reliable: of two searches one looks right by chance twice as often".into());
+    }
     verdict.is_reliable = verdict.confidence >= RELIABLE;
     registration
 }
