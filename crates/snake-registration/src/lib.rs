@@ -36,9 +36,25 @@ pub use cloud::normals::{estimate_normals, estimate_normals_with};
 pub use many::{Alignment, Contradiction, Edge, Pose, align, align_with};
 pub use options::{AlignOptions, AlignPriors, Axis, Descriptor, PairOptions, RegisterOptions};
 pub use register::{PreparedMap, register, register_with};
-pub use result::{CloudReport, Fit, Hypothesis, Matches, RECORDS, Registration, Verdict, ViewpointUsed};
+pub use result::{CloudReport, Fit, Hypothesis, Matches, Registration, Verdict, ViewpointUsed};
 pub use rigid::{kabsch, transform_points};
 pub use snake_detectors::Detector;
 pub use steps::describe::describe_keypoints;
 pub use steps::describe::fpfh::{FPFH_DIMENSION, fpfh, fpfh_with};
 pub use steps::match_rows::mutual_nearest;
+
+use snake_geometry::{Record, RecordInfo};
+
+/// The tables of all results, for other languages.
+pub const RECORDS: [&RecordInfo; 10] = [
+    Registration::INFO,
+    Verdict::INFO,
+    Fit::INFO,
+    Matches::INFO,
+    CloudReport::INFO,
+    Hypothesis::INFO,
+    Alignment::INFO,
+    Pose::INFO,
+    Edge::INFO,
+    Contradiction::INFO,
+];

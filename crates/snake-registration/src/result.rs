@@ -2,23 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use snake_geometry::{Point, Record, RecordInfo, RecordKind, RecordValue, RigidTransform, record};
-
-use crate::many::{Alignment, Contradiction, Edge, Pose};
-
-/// The tables of all results, for other languages.
-pub const RECORDS: [&RecordInfo; 10] = [
-    Registration::INFO,
-    Verdict::INFO,
-    Fit::INFO,
-    Matches::INFO,
-    CloudReport::INFO,
-    Hypothesis::INFO,
-    Alignment::INFO,
-    Pose::INFO,
-    Edge::INFO,
-    Contradiction::INFO,
-];
+use snake_geometry::{Point, RecordKind, RecordValue, RigidTransform, record};
 
 record! {
 /// The result of [`register`](crate::register()).

@@ -23,8 +23,9 @@ use crate::steps::describe::describe_cloud;
 use crate::steps::judge::units_note;
 use crate::steps::prepare::{Given, Pyramid};
 use priors::Priors;
-use progress::{Progress, Trial};
+use progress::Progress;
 pub use result::{Alignment, Contradiction, Edge, Pose};
+use solved::Trial;
 
 /// Number of clouds, at most: one dense matrix solves for all poses. Set by hand.
 const MAX_CLOUDS: usize = 500;

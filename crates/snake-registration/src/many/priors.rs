@@ -8,8 +8,7 @@ use snake_core::{Control, Error, Result};
 use snake_geometry::{Length, RigidTransform, Vector, least_spread, resolution};
 
 use super::Contradiction;
-use super::progress::Registered;
-use super::solved::probes;
+use super::solved::{Registered, probes};
 use crate::options::{PairOptions, RegisterOptions};
 use crate::register::tries::{Effort, Search};
 use crate::result::Registration;

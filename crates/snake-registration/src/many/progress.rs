@@ -1,10 +1,10 @@
 //! The steps from pairs of clouds to poses, with the notes that they collect.
 
 use snake_core::{Control, Error, Result};
-use snake_geometry::{RigidTransform, try_in_parallel};
+use snake_geometry::try_in_parallel;
 
 use super::priors::{Checked, Priors};
-use super::solved::{Solved, believed, solve};
+use super::solved::{Registered, Solved, Trial, believed, solve};
 use super::{Contradiction, missing_notes, units_notes};
 use crate::options::PairOptions;
 use crate::register::register_with;
@@ -17,11 +17,6 @@ use crate::steps::prepare::{Given, Pyramid};
 /// Number of pairs without a reliable transform that get a second look, for each part that they would join to others.
 /// Set for time.
 const SECOND_LOOKS: usize = 3;
-
-/// Source and target with the transform to start from, if there is one.
-pub(super) type Trial = ([usize; 2], Option<RigidTransform>);
-/// Source and target with their registration.
-pub(super) type Registered = ([usize; 2], Registration);
 
 /// An alignment in progress: what is given, and the notes of its steps.
 pub(super) struct Progress<'a> {

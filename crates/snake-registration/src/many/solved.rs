@@ -5,12 +5,11 @@ use std::collections::{HashMap, HashSet};
 use nalgebra::Matrix6;
 
 use snake_core::{Control, Result};
-use snake_geometry::{Vector, in_parallel, some_in_parallel};
+use snake_geometry::{RigidTransform, Vector, in_parallel, some_in_parallel};
 
 use super::graph::{Part, split};
 use super::loops::{Witness, doubts};
 use super::pose_graph::Link;
-use super::progress::{Registered, Trial};
 use super::refine::refine;
 use super::{Edge, Pose};
 use crate::cloud::surface::Surface;
@@ -28,6 +27,11 @@ const MIN_OVERLAP: f64 = 0.2;
 const MIN_COMMON: f64 = 0.1;
 /// Points are close if they are nearer than this. Unit: inlier distances. Set by hand.
 const OVERLAP_DISTANCE: f64 = 2.0;
+
+/// Source and target with the transform to start from, if there is one.
+pub(super) type Trial = ([usize; 2], Option<RigidTransform>);
+/// Source and target with their registration.
+pub(super) type Registered = ([usize; 2], Registration);
 
 /// A transform takes part in the pose graph if its probability of being wrong is at most this.
 fn max_doubt() -> f64 {

@@ -3,8 +3,8 @@
 use nalgebra::{IsometryMatrix3, Translation3};
 
 use super::constants::{DETAIL, MIN_SHIFT, PLACES};
+use super::fitting::Fitting;
 use super::rival::{Counts, Measure, Motion, Rival};
-use super::rivals::Fitting;
 use super::shifts::Shift;
 use crate::cloud::depth_image::{DepthImage, Sight};
 use crate::cloud::patches::{self, FineCloud, Place};

@@ -6,6 +6,7 @@ mod constants;
 mod constraint;
 mod corner;
 mod evidence;
+mod fitting;
 mod open_motions;
 mod repeats;
 mod rival;
@@ -35,7 +36,7 @@ use repeats::axes;
 use rival::Rival;
 use rivals::rivals;
 pub(crate) use scale::best_scale;
-use scale::better_scale;
+use scale::scale_note;
 use slide::slide_margin;
 use snake_core::{Control, Error, Result};
 use snake_geometry::{RigidTransform, least_spread};
@@ -185,16 +186,12 @@ fn verdict(pair: &Pair, matches: &[Match], candidates: &[Candidate], fit: &Fit, 
         lead,
     };
     let confidence = evidence.confidence();
+    let notes = evidence.notes().into_iter().chain(units_note(pair.diameters()));
     Ok(Verdict {
         confidence,
         is_reliable: confidence >= RELIABLE,
         is_ambiguous: evidence.is_ambiguous(),
-        notes: missing_notes(pair)
-            .chain(evidence.notes())
-            .chain(units_note(pair.diameters()))
-            .chain(better_scale(surfaces, transform).map(scale_note))
-            .chain(outlier_notes(pair))
-            .collect(),
+        notes: notes.chain(scale_note(surfaces, transform)).chain(left_out_notes(pair)).collect(),
         weakest_constraint: evidence.weakest_constraint,
         slide_margin: evidence.slide_margin,
         repeat_fit: 0.0,
@@ -259,16 +256,13 @@ impl Matches {
     }
 }
 
-/// Notes on missing returns, which were left out of the clouds.
-fn missing_notes(pair: &Pair) -> impl Iterator<Item = String> {
+/// Notes on the missing returns and the outliers of the clouds, which were left out.
+fn left_out_notes(pair: &Pair) -> impl Iterator<Item = String> {
     let named = pair.clouds().into_iter().zip(["source", "target"]);
-    named.flat_map(|(cloud, name)| cloud.missing.iter().map(move |words| format!("{name}: {words}; they are left out")))
-}
-
-/// Notes on the outliers of the clouds, which were left out.
-fn outlier_notes(pair: &Pair) -> impl Iterator<Item = String> {
-    let named = pair.clouds().into_iter().zip(["source", "target"]);
-    named.filter_map(|(cloud, name)| cloud.outliers.map(|outliers| format!("{name}: {outliers}")))
+    named.flat_map(|(cloud, name)| {
+        let missing = cloud.missing.iter().map(|words| format!("{words}; they are left out"));
+        missing.chain(cloud.outliers.map(|outliers| outliers.to_string())).map(move |words| format!("{name}: {words}"))
+    })
 }
 
 /// A question about the units, if the clouds' sizes differ much.
@@ -276,14 +270,6 @@ pub(crate) fn units_note(diameters: [f64; 2]) -> Option<String> {
     let ratio = diameters[0].max(diameters[1]) / diameters[0].min(diameters[1]);
     (ratio > UNIT_RATIO)
         .then(|| format!("one cloud is {ratio:.0} times as large as the other; are the units the same?"))
-}
-
-/// Advice about clouds of different scales.
-fn scale_note(factor: f64) -> String {
-    format!(
-        "the clouds fit better with the source {factor:.3} times as large: check the calibration and the units, or set \
-         `estimate_scale`"
-    )
 }
 
 /// The error of a pair without a transform.

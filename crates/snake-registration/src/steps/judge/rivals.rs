@@ -1,39 +1,21 @@
-//! Rivals that are tried on purpose: the winner after a rotation that aligns planes with planes, after
-//! a motion under which one of the clouds is self-similar, after a slide or shift under which patches
-//! or details repeat, and after a reflection. Searches propose the rivals, one comparison decides.
+//! Rivals that are tried on purpose: the winner after turns that align planes, after motions under which a cloud is
+//! self-similar, after slides, shifts and reflections. Searches propose the rivals, one comparison decides.
 
-use nalgebra::{IsometryMatrix3, Rotation3, Translation3};
+use nalgebra::{IsometryMatrix3, Translation3};
 
-use super::alike::{self_motions, shared_support};
 use super::comparison::Comparison;
-use super::constants::{ELSEWHERE, MAX_SLIDE_TURN, MIN_SHIFT};
+use super::fitting::Fitting;
 use super::repeats::{axes, slides};
 use super::rival::{Motion, Rival};
 use super::shifts::shifts;
 use super::turns::{after_turns, reflections, turns};
 use crate::cloud::patches::{self, overlap};
-use crate::cloud::surface::{Surface, coarse_step};
-use crate::rigid::displacement;
 use crate::steps::pair::Pair;
-use crate::steps::refine::icp::one_way_icp;
-use snake_core::{Counter, Result};
-use snake_geometry::{Vector, try_in_parallel};
+use snake_core::Result;
+use snake_geometry::try_in_parallel;
 
 /// Number of places whose details are compared. Set for time.
 const SHIFT_PLACES: usize = 1200;
-/// Number of ICP steps after a motion. Set for time.
-const RIVAL_STEPS: usize = 8;
-/// A cloud is self-similar under a motion if at least this share of its self-matches agrees. Unit:
-/// share of the matches. Stairs have 0.10 to 0.31, stairwells 0.07 to 0.25, ramps 0.07 to 0.09.
-/// Real and synthetic rooms with correct answers have 0.01 to 0.06.
-const MIN_SELF_SUPPORT: f64 = 0.06;
-/// Smallest such motion if the sensors are not known, because objects have similar details side by
-/// side. Unit: inlier distances. An object in a map has 7 to 11.
-const MIN_UNSIGNED_MOTION: f64 = 12.0;
-/// Smallest fit of a rival's surfaces: usually, of clouds with known sensors, which contradict wrong ones, and after a slide
-/// with sensors at one place. Unit: shares of the winner's fit. Stairs have 0.9, an aeroplane of 4096 points after a
-/// half turn 0.69 to 0.77, ramps 0.55 and more; traffic that keeps pace has 0.44 to 0.54.
-const RIVAL_FIT_SHARES: [f64; 3] = [0.75, 0.55, 0.43];
 
 /// The rivals of the winner under which the clouds fit: rotations, self-similar motions, slides,
 /// shifts and reflections, each compared with the winner.
@@ -53,9 +35,9 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let places = fine[0].places(winner, fine[1], distance, SHIFT_PLACES);
     let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
     let fitting = Fitting::new(pair, winner, is_standing);
-    let slide = |slide| (Motion::Alike, Translation3::from(slide) * winner);
-    let by_slide = slides(&patches, &frame, distance).into_iter().map(slide);
-    let guesses: Vec<_> = by_turn.into_iter().chain(fitting.alike()?).chain(by_slide).collect();
+    let by_slide = slides(&patches, &frame, distance).into_iter().map(|slide| Translation3::from(slide) * winner);
+    let alike = fitting.alike()?.into_iter().chain(by_slide).map(|guess| (Motion::Alike, guess));
+    let guesses: Vec<_> = by_turn.into_iter().chain(alike).collect();
     let fitted = try_in_parallel(guesses.iter(), |&(motion, guess)| fitting.fitted(motion, guess))?;
     let fitted: Vec<_> = fitted.into_iter().flatten().collect();
     if fitted.is_empty() && by_shift.is_empty() {
@@ -65,71 +47,4 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let moved = try_in_parallel(fitted.iter(), |&(motion, rough)| comparison.moved(motion, rough))?;
     let shifted = try_in_parallel(by_shift.iter(), |&shift| comparison.shifted(shift))?;
     Ok(moved.into_iter().chain(shifted).flatten().collect())
-}
-
-/// The pair and the fit of the winner, which tell whether another transform fits the surfaces.
-pub(super) struct Fitting<'a, 'b> {
-    pub(super) pair: &'a Pair<'b>,
-    pub(super) winner: &'a IsometryMatrix3<f64>,
-    /// Some voxels of the source.
-    pub(super) coarse: Vec<Vector>,
-    /// The fit of these voxels under the winner.
-    best_fit: f64,
-    pub(super) is_standing: bool,
-}
-
-impl<'a, 'b> Fitting<'a, 'b> {
-    fn new(pair: &'a Pair<'b>, winner: &'a IsometryMatrix3<f64>, is_standing: bool) -> Self {
-        let surfaces = pair.surfaces();
-        let step = coarse_step(surfaces[0].points.len());
-        let coarse = surfaces[0].points.iter().step_by(step).copied().collect();
-        let best_fit = Surface::agreement(&surfaces[0], &surfaces[1], winner, step).fit();
-        Self { pair, winner, coarse, best_fit, is_standing }
-    }
-
-    /// Combines the winner with each motion under which a cloud is self-similar, and with its
-    /// inverse. If the sensors are at one place, a slide needs no support by matches: the pattern of
-    /// rays hides the self-similarity, and a sensor that keeps pace with the scene does not rotate.
-    fn alike(&self) -> Result<Vec<(Motion, IsometryMatrix3<f64>)>> {
-        let (distance, winner) = (self.pair.criteria().inlier_distance, self.winner);
-        let least = match (self.is_standing, self.pair.is_signed()) {
-            (true, _) => MIN_SHIFT,
-            (false, true) => ELSEWHERE,
-            (false, false) => MIN_UNSIGNED_MOTION,
-        };
-        let motions = |cloud: usize| {
-            let motions = self_motions(self.pair.clouds()[cloud], self.pair.is_signed())?;
-            let is_supported = |motion: &IsometryMatrix3<f64>| {
-                self.is_slide_of_one_place(&motion.rotation) || shared_support(motions, motion) >= MIN_SELF_SUPPORT
-            };
-            let supported = motions.iter().map(|(motion, _)| *motion).filter(is_supported);
-            Ok::<_, snake_core::Error>(supported.flat_map(|motion| [motion, motion.inverse()]).collect::<Vec<_>>())
-        };
-        let from_source = motions(0)?.into_iter().map(|motion| winner * motion);
-        let from_target = motions(1)?.into_iter().map(|motion| motion * winner);
-        let mut guesses: Vec<(Motion, IsometryMatrix3<f64>)> = Vec::new();
-        for guess in from_target.chain(from_source) {
-            let differs = |(_, other): &(Motion, _)| displacement(&guess, other, &self.coarse) > 2.0 * distance;
-            if displacement(&guess, winner, &self.coarse) > least * distance && guesses.iter().all(differs) {
-                guesses.push((Motion::Alike, guess));
-            }
-        }
-        Ok(guesses)
-    }
-
-    /// Whether the sensors are at one place and the rotation between two answers is small.
-    pub(super) fn is_slide_of_one_place(&self, turn: &Rotation3<f64>) -> bool {
-        self.is_standing && turn.angle() < MAX_SLIDE_TURN.to_radians()
-    }
-
-    /// The transform near a guess that fits best; `None` if it does not fit the surfaces.
-    fn fitted(&self, motion: Motion, guess: IsometryMatrix3<f64>) -> Result<Option<(Motion, IsometryMatrix3<f64>)>> {
-        let (surfaces, gravity) = (self.pair.surfaces(), self.pair.criteria().gravity);
-        let step = coarse_step(surfaces[0].points.len());
-        let rough = one_way_icp(&self.coarse, &surfaces[1], guess, gravity, RIVAL_STEPS, &Counter::default())?;
-        let fit = Surface::agreement(&surfaces[0], &surfaces[1], &rough, step).fit();
-        let is_slide = self.is_slide_of_one_place(&(rough.rotation * self.winner.rotation.inverse()));
-        let min_fit = RIVAL_FIT_SHARES[if is_slide { 2 } else { usize::from(self.pair.is_signed()) }];
-        Ok((fit >= min_fit * self.best_fit).then_some((motion, rough)))
-    }
 }

@@ -46,10 +46,9 @@ struct Step {
     deviation: f64,
 }
 
-/// The factor by which the source must be enlarged to fit better, if it differs from 1 beyond
-/// doubt. Each half of the overlap must confirm it: a bent scan also fits better at another scale,
-/// but in some places only.
-pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<f64> {
+/// A note with the factor by which the source must be enlarged to fit better, if it differs from 1 beyond doubt. Each
+/// half of the overlap must confirm it: a bent scan also fits better at another scale, but in some places only.
+pub(super) fn scale_note(surfaces: &[Surface; 2], transform: &IsometryMatrix3<f64>) -> Option<String> {
     let before = Similarity { factor: 1.0, transform: *transform }.pairs(surfaces);
     if (step(&before)?.factor - 1.0).abs() < SCALE_GATE {
         return None;
@@ -62,7 +61,10 @@ pub(super) fn better_scale(surfaces: &[Surface; 2], transform: &IsometryMatrix3<
     let agrees = |half: &Vec<PlanePair>| {
         step(half).is_some_and(|own| (own.factor - 1.0).abs() < SCALE_DISAGREEMENT * change.abs())
     };
-    (is_certain && is_better && halves(&after).iter().all(agrees)).then_some(similarity.factor)
+    (is_certain && is_better && halves(&after).iter().all(agrees)).then(|| {
+        let advice = "check the calibration and the units, or set `estimate_scale`";
+        format!("the clouds fit better with the source {:.3} times as large: {advice}", similarity.factor)
+    })
 }
 
 /// The factor by which the source must be enlarged to fit best; `None` if the clouds do not determine it.
