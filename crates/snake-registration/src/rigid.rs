@@ -166,15 +166,12 @@ pub(crate) mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for case in 0..60 {
             let truth = random_transform(&mut rng);
-            let noise = random_points(&mut rng, 12);
-            let pairs: Vec<(Vector, Vector)> = random_points(&mut rng, 12)
-                .into_iter()
-                .zip(noise)
-                .map(|(p, noise)| {
-                    let mirrored = if case % 2 == 0 { [-p[0], p[1], p[2]] } else { p };
-                    (vector(p), moved(&truth, &vector(mirrored)) + 0.1 * vector(noise))
-                })
-                .collect();
+            let pair = |(p, noise): (Point, Point)| {
+                let mirrored = if case % 2 == 0 { [-p[0], p[1], p[2]] } else { p };
+                (vector(p), moved(&truth, &vector(mirrored)) + 0.1 * vector(noise))
+            };
+            let [points, noise] = [(); 2].map(|()| random_points(&mut rng, 12));
+            let pairs: Vec<(Vector, Vector)> = points.into_iter().zip(noise).map(pair).collect();
             let fit = best_fit(pairs.iter().copied()).unwrap();
             assert!((fit.rotation.matrix().determinant() - 1.0).abs() < 1e-9);
             let least = squared_residual(&fit, &pairs);

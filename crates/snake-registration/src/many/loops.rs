@@ -101,9 +101,7 @@ mod tests {
         // A wrong transform closes no loop.
         witnesses[2].t_target_source.translation.vector.x += 0.2;
         let doubtful = doubts(&witnesses, &probes);
-        assert!(
-            doubtful.iter().zip(&witnesses).all(|(doubt, own)| (1.0 - doubt - own.confidence).abs() < 1e-12),
-            "{doubtful:?}"
-        );
+        let is_own = |(doubt, own): (&f64, &Witness)| (1.0 - doubt - own.confidence).abs() < 1e-12;
+        assert!(doubtful.iter().zip(&witnesses).all(is_own), "{doubtful:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! Initial poses of clouds: they start registrations of pairs, and check the results.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use nalgebra::IsometryMatrix3;
 
@@ -22,7 +22,7 @@ use crate::steps::{Pair, approach, refine};
 const PRIOR_TOLERANCE: f64 = 1.5;
 
 /// Smallest number of contradictions that give a note on the poses.
-const MIN_CONTRADICTIONS: usize = 3;
+const MIN_CONTRADICTIONS: usize = 2;
 /// Motions with angles that differ by less may be the same. Unit: degrees. Set by hand.
 const SAME_ANGLE: f64 = 3.0;
 
@@ -38,6 +38,8 @@ pub(super) struct Priors {
     poses: Vec<Option<IsometryMatrix3<f64>>>,
     tolerances: Vec<f64>,
     probes: Vec<Vec<Vector>>,
+    /// The means of the probes.
+    centers: Vec<Vector>,
     /// Half of the clouds' diameters.
     radii: Vec<f64>,
 }
@@ -64,10 +66,12 @@ impl Priors {
             let least = refine::MIN_DIFFERENCE * pyramid.inlier_distance(pyramid.common(&[cloud]));
             least.max(PRIOR_TOLERANCE * least_spread(&pyramid.own(cloud).voxels.voxels.points))
         };
+        let probes: Vec<_> = clouds().map(|cloud| probes(pyramid.own(cloud))).collect();
         Ok(Self {
             poses: clouds().map(poses).collect(),
             tolerances: clouds().map(|cloud| tolerance.unwrap_or_else(|| by_cloud(cloud))).collect(),
-            probes: clouds().map(|cloud| probes(pyramid.own(cloud))).collect(),
+            centers: probes.iter().map(|points| points.iter().sum::<Vector>() / points.len().max(1) as f64).collect(),
+            probes,
             radii: clouds().map(|cloud| pyramid.own(cloud).diameter / 2.0).collect(),
         })
     }
@@ -87,32 +91,36 @@ impl Priors {
     }
 
     /// The pairs that are worth a registration: `pairs` and the pairs of each cloud with the
-    /// `count` nearest clouds, without those that are too far apart by the poses.
+    /// `count` nearest clouds, without those that are too far apart by the poses. A cloud that is too far from all others
+    /// keeps its pairs, so that they can contradict its pose.
     pub(super) fn choose(&self, mut pairs: Vec<[usize; 2]>, count: usize) -> Vec<[usize; 2]> {
-        let centers: Vec<Option<Vector>> = (0..self.poses.len()).map(|cloud| self.center(cloud)).collect();
-        let distance = |a: usize, b: usize| Some((centers[a]? - centers[b]?).norm());
-        for cloud in 0..centers.len() {
-            let others = (0..centers.len()).filter(|&other| other != cloud);
+        for cloud in 0..self.poses.len() {
+            let others = (0..self.poses.len()).filter(|&other| other != cloud);
             let mut near: Vec<(f64, usize)> =
-                others.filter_map(|other| Some((distance(cloud, other)?, other))).collect();
+                others.filter_map(|other| Some((self.distance([cloud, other])?, other))).collect();
             near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             pairs.extend(near.iter().take(count).map(|&(_, other)| [cloud.max(other), cloud.min(other)]));
         }
         pairs.sort_unstable();
         pairs.dedup();
-        let reach = |pair: &[usize; 2]| self.radii[pair[0]] + self.radii[pair[1]] + self.tolerance(*pair);
-        pairs.retain(|pair| distance(pair[0], pair[1]).is_none_or(|distance| distance <= reach(pair)));
+        let met: BTreeSet<usize> = pairs.iter().filter(|pair| self.meets(**pair)).flatten().copied().collect();
+        pairs.retain(|pair| self.meets(*pair) || !pair.iter().all(|cloud| met.contains(cloud)));
         pairs
     }
 
-    /// The mean of a cloud's points where its pose puts it.
-    fn center(&self, cloud: usize) -> Option<Vector> {
-        let points = &self.probes[cloud];
-        let mean = points.iter().sum::<Vector>() / points.len().max(1) as f64;
-        self.poses[cloud].as_ref().map(|pose| moved(pose, &mean))
+    /// The distance between the clouds' means where their poses put them.
+    fn distance(&self, pair: [usize; 2]) -> Option<f64> {
+        let [a, b] = pair.map(|cloud| Some(moved(self.poses[cloud].as_ref()?, &self.centers[cloud])));
+        Some((a? - b?).norm())
     }
 
-    /// Registers a pair by a search that also starts from its initial poses, if both clouds have one. A result that
+    /// Whether the clouds may overlap by their poses.
+    fn meets(&self, pair: [usize; 2]) -> bool {
+        let reach = self.radii[pair[0]] + self.radii[pair[1]] + self.tolerance(pair);
+        self.distance(pair).is_none_or(|distance| distance <= reach)
+    }
+
+    /// Registers a pair by a search that also starts from its initial poses, if the clouds meet there. A result that
     /// contradicts the poses is replaced by that from the poses alone, if that is reliable and agrees with them.
     pub(super) fn register(
         &self,
@@ -123,7 +131,8 @@ impl Priors {
     ) -> Result<Registration> {
         let free = PairOptions::default();
         let search = Search::new(pair, options, &free, Effort::Usual, control);
-        let Some(prior) = self.t_target_source(clouds).map(RigidTransform::from) else { return search.register() };
+        let prior = self.t_target_source(clouds).filter(|_| self.meets(clouds));
+        let Some(prior) = prior.map(RigidTransform::from) else { return search.register() };
         let start = approach(pair, &prior, options.icp_steps, control)?;
         let searched = Search { guesses: &[start], ..search }.register();
         let contradicts = |found: &Registration| self.contradiction(clouds, found).is_some();
@@ -178,13 +187,6 @@ impl Priors {
                 })
             })
         };
-        let inverse: Vec<_> = self.poses.iter().map(|pose| pose.map(|pose| pose.inverse())).collect();
-        let reverse: Vec<_> = self.poses.iter().rev().copied().collect();
-        let by_number = |first: usize| {
-            let mut as_text: Vec<usize> = (0..count).collect();
-            as_text.sort_by_key(|place| (first + place).to_string());
-            as_text.into_iter().map(|place| self.poses[place]).collect::<Vec<_>>()
-        };
         // In other sensor axes, a motion has the same angle and about the same length.
         let is_same_motion = |pair, found: &IsometryMatrix3<f64>| {
             self.t_target_source(pair).is_some_and(|prior| {
@@ -193,12 +195,32 @@ impl Priors {
                     && (lengths[0] - lengths[1]).abs() <= self.tolerance(pair)
             })
         };
-        let fits = if agree(&inverse) {
-            "their inverses fit: a pose maps a cloud to the common frame"
-        } else if agree(&by_number(0)) || agree(&by_number(1)) {
-            "they fit clouds that are sorted by number, not as text (0, 1, 10, 2)"
-        } else if agree(&reverse) {
-            "they fit in reverse order"
+        let each = |change: &dyn Fn(&IsometryMatrix3<f64>) -> IsometryMatrix3<f64>| {
+            self.poses.iter().map(|pose| pose.as_ref().map(change)).collect::<Vec<_>>()
+        };
+        let as_text = |first: usize| {
+            let mut places: Vec<usize> = (0..count).collect();
+            places.sort_by_key(|place| (first + place).to_string());
+            places.into_iter().map(|place| self.poses[place]).collect::<Vec<_>>()
+        };
+        let in_unit = |unit: f64| {
+            each(&|pose| IsometryMatrix3::from_parts((unit * pose.translation.vector).into(), pose.rotation))
+        };
+        let by_number = "they fit clouds that are sorted by number, not as text (0, 1, 10, 2)";
+        let others = [
+            (each(&IsometryMatrix3::inverse), "their inverses fit: a pose maps a cloud to the common frame"),
+            (as_text(0), by_number),
+            (as_text(1), by_number),
+            (self.poses.iter().rev().copied().collect(), "they fit in reverse order"),
+        ];
+        let units = [0.001, 0.01, 100.0, 1000.0]
+            .map(|unit| (in_unit(unit), "with translations in the unit of the clouds they fit"));
+        let all_of = |cloud: &usize| checked.contradictions.keys().all(|pair| pair.contains(cloud));
+        let only = (0..count).filter(|_| contradictions < reliable.len()).find(all_of);
+        let fits = if let Some(cloud) = only {
+            &format!("all are of cloud {cloud} (from 0)")
+        } else if let Some((_, words)) = others.iter().chain(&units).find(|(poses, _)| agree(poses)) {
+            words
         } else if leaves_few(&is_same_motion) {
             "their motions fit in other axes, such as those of a camera beside the scanner: a pose is that of the cloud's frame"
         } else if 2 * contradictions > reliable.len() {

@@ -1,5 +1,7 @@
 //! The steps from pairs of clouds to poses, with the notes that they collect.
 
+use std::collections::BTreeMap;
+
 use snake_core::{Control, Error, Result};
 use snake_geometry::try_in_parallel;
 
@@ -11,7 +13,7 @@ use crate::register::register_with;
 use crate::register::tries::{Effort, Search};
 use crate::result::Registration;
 use crate::steps::Pair;
-use crate::steps::judge::less_confident;
+use crate::steps::judge::{REPEATED, less_confident};
 use crate::steps::prepare::{Given, Pyramid};
 
 /// Number of pairs without a reliable transform that get a second look, for each part that they would join to others.
@@ -72,16 +74,7 @@ impl<'a> Progress<'a> {
             let registration = register_with(from, to, given.model, given.options, &pair_options, control)?;
             Ok(Some(([source, target], registration)))
         })?;
-        for (pair, Registration { verdict, .. }) in alone.iter().filter(|(_, found)| !found.verdict.is_reliable) {
-            let [source, target] = pair;
-            let word = verdict.word();
-            let reason = match verdict.notes.first() {
-                Some(note) if note.starts_with(word) => note.clone(),
-                Some(note) => format!("{word}, {note}"),
-                None => word.into(),
-            };
-            self.left_out.push((*pair, format!("clouds {source} and {target} (from 0) are left out: {reason}")));
-        }
+        self.left_out.extend(alone.iter().filter(|(_, found)| !found.verdict.is_reliable).map(left_out));
         let kept = registered.into_iter().filter(|(pair, _)| !pairs.contains(pair));
         let mut all: Vec<Registered> = kept.chain(alone).collect();
         all.sort_by_key(|(pair, _)| *pair);
@@ -99,11 +92,11 @@ impl<'a> Progress<'a> {
     /// Notes on the initial poses, on the clouds, and on the pairs that are left out.
     pub(super) fn notes(&self, solved: &Solved) -> Vec<String> {
         let clouds = self.pyramid.usual();
-        let mut left_out: Vec<_> = self.left_out.iter().filter(|(pair, _)| !solved.follows(*pair)).collect();
-        left_out.sort();
-        let left_out = left_out.into_iter().map(|(_, note)| note.clone());
+        let named = self.left_out.iter().filter(|(pair, _)| !solved.follows(*pair)).cloned();
+        let of_parts = solved.joining(1, |_| true).into_iter().map(left_out);
+        let left_out: BTreeMap<_, _> = of_parts.chain(named).collect();
         let of_clouds = missing_notes(clouds).chain(units_notes(clouds));
-        self.priors.note(&self.checked).into_iter().chain(of_clouds).chain(left_out).collect()
+        self.priors.note(&self.checked).into_iter().chain(of_clouds).chain(left_out.into_values()).collect()
     }
 
     /// Registers all pairs and leaves out those without a transform.
@@ -128,7 +121,7 @@ impl<'a> Progress<'a> {
     /// few for each part. As for any further try, their confidence is lowered.
     fn look_again(&self, solved: &Solved) -> Result<Vec<Registered>> {
         let (pyramid, options) = (self.pyramid, self.given.options);
-        let joining = solved.joining(SECOND_LOOKS);
+        let joining = solved.joining(SECOND_LOOKS, |verdict| verdict.repeat_fit <= REPEATED);
         register_each("finer voxels", &joining, self.control, |(clouds, first), control| {
             let scale = pyramid.common(clouds);
             let [Some(source), Some(target)] = clouds.map(|cloud| pyramid.finer(cloud, scale)) else { return Ok(None) };
@@ -138,6 +131,17 @@ impl<'a> Progress<'a> {
             Ok(Some((*clouds, less_confident(finer))))
         })
     }
+}
+
+/// A note on a pair that the poses do not follow.
+fn left_out(([source, target], Registration { verdict, .. }): &Registered) -> ([usize; 2], String) {
+    let word = verdict.word();
+    let reason = match verdict.notes.first() {
+        Some(note) if note.starts_with(word) => note.clone(),
+        Some(note) => format!("{word}, {note}"),
+        None => word.into(),
+    };
+    ([*source, *target], format!("clouds {source} and {target} (from 0) are left out: {reason}"))
 }
 
 /// Runs all trials and leaves out those without a transform.

@@ -125,17 +125,15 @@ impl Solved {
     }
 
     /// The registrations that are not reliable and would join two parts, the most confident first.
-    /// Each part has at most `count`, and more if the other part has fewer. Repeating structures
-    /// are left out, because they repeat on voxels of any size.
-    pub(super) fn joining(&self, count: usize) -> Vec<&Registered> {
+    /// Each part has at most `count`, and more if the other part has fewer.
+    pub(super) fn joining(&self, count: usize, is_wanted: impl Fn(&Verdict) -> bool) -> Vec<&Registered> {
         let mut part_of = HashMap::new();
         for (index, part) in self.parts.iter().enumerate() {
             part_of.extend(part.clouds.iter().map(|&cloud| (cloud, index)));
         }
         let is_open = |(pair, registration): &&Registered| {
             let verdict = &registration.verdict;
-            let repeats = verdict.repeat_fit > judge::REPEATED;
-            !verdict.is_reliable && !repeats && part_of[&pair[0]] != part_of[&pair[1]]
+            !verdict.is_reliable && is_wanted(verdict) && part_of[&pair[0]] != part_of[&pair[1]]
         };
         let mut open: Vec<&Registered> = self.registered.iter().filter(is_open).collect();
         // The sort is stable, and the registrations are ordered by their clouds.

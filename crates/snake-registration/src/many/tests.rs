@@ -1,6 +1,7 @@
 //! Tests of alignment as a whole.
 
 use chacha20::ChaCha8Rng;
+use nalgebra::{IsometryMatrix3, Translation3};
 use rand::SeedableRng;
 
 use super::*;
@@ -107,8 +108,32 @@ fn bad_clouds_and_options_are_refused() {
 #[test]
 fn a_cloud_in_other_units_is_asked_about() {
     let (mut clouds, _) = clouds();
-    assert!(run(&clouds, &AlignOptions::default()).unwrap().notes.is_empty());
     clouds[2].as_flattened_mut().iter_mut().for_each(|v| *v *= 1000.0);
     let notes = run(&clouds, &AlignOptions::default()).unwrap().notes;
-    assert!(notes.len() == 1 && notes[0].starts_with("cloud 2 (from 0)") && notes[0].contains("units"), "{notes:?}");
+    assert!(notes[0].starts_with("cloud 2 (from 0)") && notes[0].contains("units"), "{notes:?}");
+    // The box fits no cloud, which is said once.
+    let left_out = |note: &&String| note.contains(" 1 (from 0) are left out: ") || note.contains("clouds 1 and");
+    assert_eq!(notes.iter().filter(left_out).count(), 1, "{notes:?}");
+}
+
+#[test]
+fn poses_that_put_clouds_elsewhere_are_explained() {
+    let (clouds, poses) = clouds();
+    let check = |poses: Vec<RigidTransform>, words: &str| {
+        let known = AlignPriors::default().with_initial_poses(poses.into_iter().map(Some).collect());
+        let (options, align_options) = Default::default();
+        let found = align_with(&clouds, &known, None, &options, &align_options, &Control::default()).unwrap();
+        assert!(found.notes[0].contains(words), "{:?}", found.notes);
+    };
+    let changed = |change: fn(usize, &Vector) -> Vector| {
+        let changed = |(cloud, pose): (usize, &RigidTransform)| {
+            let pose = pose.inverse();
+            let at = Translation3::from(change(cloud, &pose.isometry().translation.vector));
+            IsometryMatrix3::from_parts(at, pose.isometry().rotation).into()
+        };
+        poses.iter().enumerate().map(changed).collect()
+    };
+    check(changed(|_, at| 1000.0 * at), "in the unit of the clouds they fit");
+    check(changed(|cloud, at| at.add_scalar(if cloud == 3 { 50.0 } else { 0.0 })), "all are of cloud 3");
+    check(poses.clone(), "their inverses fit");
 }
