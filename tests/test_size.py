@@ -13,7 +13,7 @@ MAX_LINES = {
     "crates/snake-geometry": 5860,
     "crates/snake-io": 10573,
     "crates/snake-kernels": 2976,
-    "crates/snake-registration": 10947,
+    "crates/snake-registration": 10943,
     "crates/snake-tiles": 1846,
     "crates/snake-view": 575,
     "docs": 456,

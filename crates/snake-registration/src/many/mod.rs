@@ -17,6 +17,7 @@ use std::time::Instant;
 use snake_core::{Control, Error, Model, Result};
 use snake_geometry::{Point, try_in_parallel};
 
+use crate::cloud::lower_median;
 use crate::options::{AlignOptions, AlignPriors, RegisterOptions};
 use crate::steps::PreparedCloud;
 use crate::steps::describe::describe_cloud;
@@ -118,9 +119,7 @@ fn missing_notes(clouds: &[PreparedCloud]) -> impl Iterator<Item = String> {
 
 /// A question about the units of each cloud whose size differs much from that of the median cloud.
 fn units_notes(clouds: &[PreparedCloud]) -> Vec<String> {
-    let mut diameters: Vec<f64> = clouds.iter().map(|cloud| cloud.diameter).collect();
-    diameters.sort_by(f64::total_cmp);
-    let median = diameters[(diameters.len() - 1) / 2];
+    let median = lower_median(&clouds.iter().map(|cloud| cloud.diameter).collect::<Vec<_>>());
     let note = |(index, cloud): (usize, &PreparedCloud)| {
         Some(format!("cloud {index} (from 0): {}", units_note([cloud.diameter, median])?))
     };

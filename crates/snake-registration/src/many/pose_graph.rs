@@ -42,8 +42,7 @@ impl Link {
         Vector6::new(rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z)
     }
 
-    /// The derivatives of the residual with respect to small motions of source and target, each in
-    /// its own frame.
+    /// The derivatives of the residual with respect to small motions of source and target, each in its own frame.
     fn jacobians(&self, residual: &Vector6<f64>) -> [Matrix6<f64>; 2] {
         let rotation: Vector = residual.fixed_rows::<3>(0).into();
         let translation: Vector = residual.fixed_rows::<3>(3).into();
@@ -84,10 +83,9 @@ fn inverse_right_jacobian(rotation: &Vector) -> Matrix3<f64> {
     Matrix3::identity() + 0.5 * cross + second * cross * cross
 }
 
-/// Optimises the poses; the first one is fixed. The weights of links whose error exceeds
-/// `threshold` (cloud units) fall towards zero (kernel of Geman and McClure), after rounds with
-/// wider kernels (graduated non-convexity, Yang et al. 2020). Links far from the poses have no
-/// weight unless a round brings them closer.
+/// Optimises the poses; the first one is fixed. The weights of links whose error exceeds `threshold` (cloud units)
+/// fall towards zero (kernel of Geman and McClure), after rounds with wider kernels (graduated non-convexity, Yang et
+/// al. 2020). Links far from the poses have no weight unless a round brings them closer.
 pub(super) fn optimize(
     poses: &mut [IsometryMatrix3<f64>],
     links: &[Link],
@@ -190,10 +188,9 @@ fn damped(normal: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     damped
 }
 
-/// The covariances of the poses relative to the first, each of a small rotation and then a small
-/// translation in the pose's own frame. `variance` is the least variance of one distance to a
-/// plane; if loops disagree more, their variance is used. Directions that the links leave open have
-/// a large but finite covariance.
+/// The covariances of the poses relative to the first, each of a small rotation and then a small translation in the
+/// pose's own frame. `variance` is the least variance of one distance to a plane; if loops disagree more, their
+/// variance is used. Directions that the links leave open have a large but finite covariance.
 pub(super) fn covariances(poses: &[IsometryMatrix3<f64>], links: &[Link], variance: f64) -> Vec<Matrix6<f64>> {
     let (normal, _) = normal_equations(poses, links, &vec![1.0; links.len()]);
     let mut damping = MIN_DAMPING;
@@ -269,8 +266,7 @@ mod tests {
         assert_eq!(narrow[0], Matrix6::zeros());
         let volume = |i: usize| narrow[i].determinant();
         assert!((2..6).all(|i| volume(i) > volume(i - 1)));
-        // One link from the first pose: the inverse of its information, which is in the target's
-        // frame.
+        // One link from the first pose: the inverse of its information, which is in the target's frame.
         let expected = 1e-4 * chain[0].information.try_inverse().unwrap();
         assert!((narrow[1] - expected).norm() < 1e-6 * expected.norm());
         // A pose that a link leaves open in one direction is uncertain there, and finite.

@@ -2,6 +2,7 @@
 
 use super::constants::{DETAIL, ELSEWHERE, MIN_SHIFT, TRIES};
 use crate::cloud::patches::{self, FineCloud, Place};
+use crate::cloud::upper_median;
 use snake_geometry::Vector;
 
 /// A place faces along an axis if the cosine between its normal and the axis is above this. Set by hand.
@@ -202,9 +203,7 @@ impl Profile {
 
     /// The median share over all shifts.
     fn usual(&self) -> f64 {
-        let mut shares: Vec<f64> = (-self.reach..=self.reach).map(|shift| self.share(shift)).collect();
-        shares.sort_by(f64::total_cmp);
-        shares[shares.len() / 2]
+        upper_median(&(-self.reach..=self.reach).map(|shift| self.share(shift)).collect::<Vec<_>>())
     }
 
     /// The shifts by at least `min` steps at which the details fit about as well as beside rest,

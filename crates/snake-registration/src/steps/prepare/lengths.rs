@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use crate::cloud::normals::check_radius;
+use crate::cloud::{lower_median, upper_median};
 use crate::options::RegisterOptions;
 use crate::steps::prepare::voxel_size as default_voxel_size;
 use snake_core::Result;
@@ -20,8 +21,7 @@ const FEATURE_SPACINGS: f64 = 5.0;
 /// Inlier distance, unless it is given. Unit: spacings of the voxels. Half and twice lose a synthetic pair.
 const INLIER_SPACINGS: f64 = 1.5;
 
-/// The lengths with which clouds are prepared, in cloud units. Clouds that are registered with each
-/// other share them.
+/// The lengths with which clouds are prepared, in cloud units. Clouds that are registered with each other share them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lengths {
     /// Side of the voxels.
@@ -84,9 +84,8 @@ impl GivenLengths {
         })
     }
 
-    /// Downsamples clouds with the given voxel size, or with one that suits the smaller cloud. The
-    /// spacing of the voxels then gives the lengths that the options do not set. `downsample` makes
-    /// the voxels of all clouds.
+    /// Downsamples clouds with the given voxel size, or with one that suits the smaller cloud. The spacing of the
+    /// voxels then gives the lengths that the options do not set. `downsample` makes the voxels of all clouds.
     pub(super) fn downsample(
         &self,
         diameters: &[f64],
@@ -95,8 +94,7 @@ impl GivenLengths {
         let mut voxel_size = self.voxel_size.unwrap_or(default_voxel_size(lower_median(diameters)));
         let mut voxels = downsample(voxel_size)?;
         let mut spacing = spacing(&voxels, voxel_size);
-        // The radii are multiples of the spacing: in a much denser cloud they would hold thousands
-        // of voxels.
+        // The radii are multiples of the spacing: in a much denser cloud they would hold thousands of voxels.
         if spacing > MAX_SPACING * voxel_size {
             voxel_size = spacing / 2.0;
             voxels = downsample(voxel_size)?;
@@ -118,22 +116,4 @@ impl GivenLengths {
 fn spacing(voxels: &[Neighbors], voxel_size: f64) -> f64 {
     let resolutions = in_parallel(voxels.iter(), Neighbors::resolution);
     voxel_size.max(upper_median(&resolutions))
-}
-
-/// The lower median of at least one number: for an even count, the lower of the middle two. For two
-/// clouds, it is the value of the smaller one.
-fn lower_median(values: &[f64]) -> f64 {
-    sorted(values)[(values.len() - 1) / 2]
-}
-
-/// The upper median of at least one number: for an even count, the upper of the middle two. For two
-/// clouds, it is the value of the coarser one.
-fn upper_median(values: &[f64]) -> f64 {
-    sorted(values)[values.len() / 2]
-}
-
-fn sorted(values: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
 }
