@@ -93,10 +93,10 @@ impl<'a> Progress<'a> {
     pub(super) fn notes(&self, solved: &Solved) -> Vec<String> {
         let clouds = self.pyramid.usual();
         let named = self.left_out.iter().filter(|(pair, _)| !solved.follows(*pair)).cloned();
-        let of_parts = solved.joining(1, |_| true).into_iter().map(left_out);
-        let left_out: BTreeMap<_, _> = of_parts.chain(named).collect();
-        let of_clouds = missing_notes(clouds).chain(units_notes(clouds));
-        self.priors.note(&self.checked).into_iter().chain(of_clouds).chain(left_out.into_values()).collect()
+        let between_parts = solved.joining(1, |_| true).into_iter().map(left_out);
+        let left_out: BTreeMap<_, _> = between_parts.chain(named).collect();
+        let on_clouds = missing_notes(clouds).chain(units_notes(clouds));
+        self.priors.note(&self.checked).into_iter().chain(on_clouds).chain(left_out.into_values()).collect()
     }
 
     /// Registers all pairs and leaves out those without a transform.
@@ -117,8 +117,8 @@ impl<'a> Progress<'a> {
         })
     }
 
-    /// Registers unreliable pairs that would join parts again, on finer voxels: the most confident
-    /// few for each part. As for any further try, their confidence is lowered.
+    /// Registers unreliable pairs that would join parts again, on finer voxels: the most confident few for each part, but
+    /// for what repeats, as it repeats on voxels of any size. As for any further try, their confidence is lowered.
     fn look_again(&self, solved: &Solved) -> Result<Vec<Registered>> {
         let (pyramid, options) = (self.pyramid, self.given.options);
         let joining = solved.joining(SECOND_LOOKS, |verdict| verdict.repeat_fit <= REPEATED);

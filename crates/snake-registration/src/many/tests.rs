@@ -122,16 +122,16 @@ fn poses_that_put_clouds_elsewhere_are_explained() {
     let check = |poses: Vec<RigidTransform>, words: &str| {
         let known = AlignPriors::default().with_initial_poses(poses.into_iter().map(Some).collect());
         let (options, align_options) = Default::default();
-        let found = align_with(&clouds, &known, None, &options, &align_options, &Control::default()).unwrap();
-        assert!(found.notes[0].contains(words), "{:?}", found.notes);
+        let aligned = align_with(&clouds, &known, None, &options, &align_options, &Control::default()).unwrap();
+        assert!(aligned.notes[0].contains(words), "{:?}", aligned.notes);
     };
     let changed = |change: fn(usize, &Vector) -> Vector| {
-        let changed = |(cloud, pose): (usize, &RigidTransform)| {
+        let one = |(cloud, pose): (usize, &RigidTransform)| {
             let pose = pose.inverse();
             let at = Translation3::from(change(cloud, &pose.isometry().translation.vector));
             IsometryMatrix3::from_parts(at, pose.isometry().rotation).into()
         };
-        poses.iter().enumerate().map(changed).collect()
+        poses.iter().enumerate().map(one).collect()
     };
     check(changed(|_, at| 1000.0 * at), "in the unit of the clouds they fit");
     check(changed(|cloud, at| at.add_scalar(if cloud == 3 { 50.0 } else { 0.0 })), "all are of cloud 3");
