@@ -115,6 +115,33 @@ fn corridors_and_tunnels_are_open_along_their_axis() {
     }
 }
 
+/// A stairwell of equal storeys, two flights each.
+fn stairwell() -> Scene {
+    let mut boxes = Vec::new();
+    for flight in -4..10 {
+        let (is_second, z) = (flight % 2 != 0, 1.5 * f64::from(flight));
+        let landing = if is_second { 3.8 } else { 0.0 };
+        boxes.push([[0.0, landing, z - 0.16], [2.6, landing + 1.2, z]]);
+        boxes.extend((0..9).map(f64::from).map(|k| {
+            let (low, step) = (z + k / 6.0, 0.29 * k);
+            let [x, y] = if is_second { [1.35, 3.505 - step] } else { [0.05, 1.205 + step] };
+            [[x, y, low], [x + 1.2, y + 0.29, low + 1.0 / 6.0]]
+        }));
+    }
+    Scene { boxes, rooms: vec![[[0.0, 0.0, -6.0], [2.6, 5.0, 9.0]]], ..Default::default() }
+}
+
+#[test]
+fn a_storey_of_a_stairwell_may_be_any() {
+    let rays = scenes::lidar(64, 240, -1.4, 1.4);
+    for (x, seed) in [(1.0, 1), (1.6, 3)] {
+        let [source, target] =
+            [(1.3, 4.4), (x, 7.4)].map(|(x, z)| stairwell().seen([x, 0.6, z], &rays, 30.0, 0.006, seed));
+        let verdict = run(&source, &target).unwrap().verdict;
+        assert!(!verdict.is_reliable && verdict.notes[0].contains("itself"), "{verdict:?}");
+    }
+}
+
 /// A wall at y = 9 with windows before it, every `period` along x, from `start` on.
 fn facade(period: f64, start: f64) -> Scene {
     let ground = [[-40.0, -15.0, -0.2], [40.0, 15.0, 0.0]];

@@ -51,7 +51,8 @@ impl<'a, 'b> Comparison<'a, 'b> {
     /// The rival near a transform from a rotation, a reflection or a motion; `None` if it contradicts too much.
     pub(super) fn moved(&self, motion: Motion, rough: IsometryMatrix3<f64>) -> Result<Option<Rival>> {
         let counts = self.compare(&rough);
-        let contradicts = !self.fitting.is_standing && counts.measure(Measure::OfTelling) > HOPELESS / 2.0;
+        let may_contradict = self.fitting.is_standing || matches!(motion, Motion::Repetition);
+        let contradicts = !may_contradict && counts.measure(Measure::OfTelling) > HOPELESS / 2.0;
         let misses = contradicts || counts.measure(Measure::OfAll) > HOPELESS;
         let is_hopeless = misses && counts.measure(Measure::Lead) > 0.0;
         if is_hopeless { Ok(None) } else { self.rival(motion, rough) }

@@ -12,6 +12,8 @@ const MAX_CONTRADICTED: f64 = 0.055;
 /// The same limit for sensors at one place, where one pattern of rays coincides point by point.
 /// Traffic has up to 0.25, rooms at rest 0.33 and more.
 const STANDING_CONTRADICTED: f64 = 0.28;
+/// The same limit for a repetition: small things differ, and views end elsewhere. Stairwells have up to 0.26, stadiums 0.33.
+const REPETITION_CONTRADICTED: f64 = 0.35;
 /// The limit over all explained places, for shifts of sensors at one place or with a better fit of details. Pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
 /// A mirror image fits better if it leads by this. Unit: share of the places that the winner explains. Mirrored boxes
@@ -28,6 +30,8 @@ pub(super) enum Motion {
     Shift(Shift),
     /// A rotation, a slide, or a motion under which one of the clouds is self-similar.
     Alike,
+    /// One of the last after which the surfaces fit nearly as well: another storey, another tier of seats.
+    Repetition,
 }
 
 /// A rival, compared with the winner place by place.
@@ -56,6 +60,7 @@ impl Rival {
                 (Measure::OfAll, SHIFT_CONTRADICTED)
             }
             (Motion::Alike, true) => (Measure::OfTelling, STANDING_CONTRADICTED),
+            (Motion::Repetition, _) => (Measure::OfTelling, REPETITION_CONTRADICTED),
             (Motion::Shift(_) | Motion::Alike, false) => (Measure::OfTelling, MAX_CONTRADICTED),
         }
     }
@@ -76,7 +81,7 @@ impl Rival {
     pub(super) fn repeat_fit(&self) -> f64 {
         match self.motion {
             Motion::Shift(_) => self.counts.both_of_explained(),
-            Motion::Alike => 1.0 - self.counts.measure(Measure::OfTelling),
+            Motion::Alike | Motion::Repetition => 1.0 - self.counts.measure(Measure::OfTelling),
             Motion::Mirror => 0.0,
         }
     }
@@ -87,7 +92,7 @@ impl Rival {
             Motion::Mirror => {
                 "a mirror image of the source fits better: one of the clouds may have a flipped axis".into()
             }
-            Motion::Alike => {
+            Motion::Alike | Motion::Repetition => {
                 let angle = (self.transform.rotation * winner.rotation.inverse()).angle().to_degrees().round();
                 let by = self.transform.translation.vector - winner.translation.vector;
                 if angle == 0.0 {

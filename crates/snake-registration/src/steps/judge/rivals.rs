@@ -36,8 +36,10 @@ pub(super) fn rivals(pair: &Pair, winner: &IsometryMatrix3<f64>, is_standing: bo
     let by_shift = shifts(&places, fine[1], &frame, distance, is_standing);
     let fitting = Fitting::new(pair, winner, is_standing);
     let by_slide = slides(&patches, &frame, distance).into_iter().map(|slide| Translation3::from(slide) * winner);
+    let by_turn = by_turn.into_iter().map(|(motion, guess)| (motion, (guess, 0.0)));
+    let by_slide = by_slide.map(|guess| (guess, 0.0));
     let alike = fitting.alike()?.into_iter().chain(by_slide).map(|guess| (Motion::Alike, guess));
-    let guesses: Vec<_> = by_turn.into_iter().chain(alike).collect();
+    let guesses: Vec<_> = by_turn.chain(alike).collect();
     let fitted = try_in_parallel(guesses.iter(), |&(motion, guess)| fitting.fitted(motion, guess))?;
     let fitted: Vec<_> = fitted.into_iter().flatten().collect();
     if fitted.is_empty() && by_shift.is_empty() {
