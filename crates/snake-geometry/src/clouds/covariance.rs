@@ -29,7 +29,9 @@ impl Covariance {
             if variance.is_finite() { known += outer * variance } else { free += outer }
         }
         let entry = |row: usize, column: usize| {
-            if free[(row, column)].abs() > MIN_SHARE { f32::INFINITY } else { known[(row, column)] as f32 }
+            // So no axis beside an infinite entry has a finite variance.
+            let least = if row == column { MIN_SHARE.powi(2) } else { MIN_SHARE };
+            if free[(row, column)].abs() > least { f32::INFINITY } else { known[(row, column)] as f32 }
         };
         [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column))).into()
     }
@@ -45,7 +47,7 @@ impl Covariance {
     }
 }
 
-/// An open direction makes the entry of two axes infinite if the product of its components along them is larger than this.
+/// Open directions make the entry of two axes infinite if the product of their components along them is larger than this.
 const MIN_SHARE: f64 = 0.03;
 
 impl From<[[f32; 3]; 3]> for Covariance {
@@ -85,6 +87,9 @@ mod tests {
         assert_eq!(edge.rows(), [[f32::INFINITY, 0.0, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 0.25]]);
         assert_eq!(edge.deviation(), f32::INFINITY);
         assert_eq!(Covariance::along(&Matrix3::identity(), [f64::INFINITY; 3]), Covariance::UNKNOWN);
+        let near_x = Rotation3::from_euler_angles(0.0, 0.1, 0.0).into_inner();
+        let [[xx, _, xz], _, [.., zz]] = Covariance::along(&near_x, [f64::INFINITY, 1.0, 1.0]).rows();
+        assert_eq!([xx, xz, zz], [f32::INFINITY; 3], "an infinite entry has no finite variance beside it");
     }
 
     #[test]

@@ -3,7 +3,8 @@
 use std::cell::OnceCell;
 
 use super::housing::housing;
-use crate::{Point, Sensor, Vector, least_spread, vector};
+use super::sensor::median;
+use crate::{Point, Sensor, Vector, eigen, vector};
 
 /// Missing returns are at least this number of points, and this share of the cloud.
 const MIN_POINTS: usize = 50;
@@ -11,9 +12,9 @@ const MIN_SHARE: f64 = 0.01;
 /// Distances and depths that differ by less than this share are equal. No surface is so exactly a sphere around the sensor, and
 /// text files round coordinates.
 const TOLERANCE: f64 = 1e-4;
-/// Points at one distance surround the sensor if their smallest spread is above this share of the distance: a beam on a level
-/// floor draws a circle.
-const MIN_SPREAD: f64 = 1e-3;
+/// Points at one distance are on a surface, not around the sensor, if more than the first share of them lie on one plane, up to the
+/// second share of the distance: a beam on a level floor draws a circle, and so does a rim, which is as thick as the tolerance lets it.
+const CIRCLE: [f64; 2] = [0.9, 0.01];
 /// The depth of a plane of missing returns is more than this many times the farthest other point's distance from the origin.
 const MIN_DEPTH: f64 = 1.5;
 /// Along the depth it has at most this share of its width: another thing far away has more.
@@ -134,7 +135,7 @@ impl<'a> Returns<'a> {
             let is_missing: Vec<bool> = distances().map(is_at).collect();
             let shell = self.points.iter().zip(&is_missing).filter(|(_, missing)| **missing);
             let shell: Vec<Vector> = shell.map(|(point, _)| vector(*point)).collect();
-            let faces_all_ways = !is_surface(&is_missing) && least_spread(&shell) > MIN_SPREAD * distance;
+            let faces_all_ways = !is_surface(&is_missing) && !is_circle(shell, distance);
             (faces_all_ways && can_be(distance)).then(|| (is_missing, format!("exactly {distance:.6} from the sensor")))
         })
     }
@@ -173,6 +174,22 @@ impl<'a> Returns<'a> {
     }
 }
 
+/// Whether most points at one distance lie on one plane. Those that do not, which tilt it, are left out in two rounds.
+fn is_circle(mut shell: Vec<Vector>, distance: f64) -> bool {
+    let most = (CIRCLE[0] * shell.len() as f64) as usize;
+    let mut farthest = f64::INFINITY;
+    for count in [shell.len(), most] {
+        shell.truncate(count);
+        let mean = shell.iter().sum::<Vector>() / count.max(1) as f64;
+        let (_, normal) = eigen(shell.iter().map(|point| (point - mean) * (point - mean).transpose()).sum());
+        let middle = median(shell.iter().map(|point| normal.dot(point)).collect());
+        let height = |point: &Vector| (normal.dot(point) - middle).abs();
+        shell.sort_by(|a, b| height(a).total_cmp(&height(b)));
+        farthest = height(&shell[most - 1]);
+    }
+    farthest < CIRCLE[1] * distance
+}
+
 /// Whether `min_count` distances may be equal. This takes a tenth of the time of [`frequent`] and no memory.
 fn may_be_frequent(distances: impl Iterator<Item = f64>, min_count: usize) -> bool {
     let mut counts = [0_u32; COUNTERS];
@@ -206,8 +223,7 @@ mod tests {
     use super::*;
     use crate::FinitePoints;
 
-    /// Points on two walls as a sensor at the origin sees them. `missing` replaces some
-    /// of them.
+    /// Points on two walls as a sensor at the origin sees them. `missing` replaces some of them.
     fn scan(missing: impl Fn(Vector) -> Vector) -> (Vec<Point>, usize) {
         let mut count = 0;
         let points = (0..4000).map(|i| {
@@ -302,7 +318,16 @@ mod tests {
         let repeated: Vec<Point> = (0..5000).map(|i| [(i % 50) as f32, (i % 7) as f32, (i % 3) as f32]).collect();
         let away = |shift: f32| ball(2000).into_iter().map(move |[x, y, z]| [x + shift, y, z]);
         let two = away(3.0).chain(away(1e5)).collect();
-        for points in [ball(2000), two, rings, repeated, vec![[1.0; 3]; 99]] {
+        // A ring that some points of walls lengthen, and the outer rim of a torus.
+        let on_walls = (0..8)
+            .map(|i| [11.0, 0.0, i as f32 / 4.0].map(|v| v * 11.101_8 / (121.0 + 0.0625 * (i * i) as f32).sqrt()));
+        let walled = rings.iter().copied().chain(on_walls).collect();
+        let torus = |i: usize| {
+            let (about, along) = (i as f32 * 2.399_963, i as f32 * 0.01);
+            let radius = 1.0 + 0.12 * about.cos();
+            [radius * along.cos(), radius * along.sin(), 0.12 * about.sin()]
+        };
+        for points in [ball(2000), two, walled, rings, (0..20_000).map(torus).collect(), repeated, vec![[1.0; 3]; 99]] {
             assert_eq!([None, Some([0.0; 3])].map(|sensor| cleaned(&points, sensor).0), [points.len(); 2]);
         }
     }

@@ -144,7 +144,7 @@ fn sample(points: &[Point]) -> Vec<Vector> {
     points.chunks(step).enumerate().map(random).filter(finite).collect()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
