@@ -46,6 +46,8 @@ pub(super) fn by_cloud(cloud: &UsedCloud) -> (Builtin, Option<String>) {
     }
     let score = if cloud.is_sweep() { f64::INFINITY } else { scene_score(cloud.points()) };
     let score = with_sensor(score, || Some(Sensor::find(cloud.points())?.radii_away(cloud.points())));
+    // A sweep of a small yard has no points far beyond, and things on flat ground look like an object.
+    let score = if score < 0.0 && cloud.is_seen_from_within() { f64::INFINITY } else { score };
     let (which, kind, named, other) = if score > 0.0 {
         (Builtin::Scenes, "a scene", Builtin::Compact, "one object")
     } else {

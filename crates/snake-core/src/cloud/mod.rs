@@ -75,6 +75,11 @@ impl<'a> UsedCloud<'a> {
         *self.is_sweep.get_or_init(|| sweep::is_sweep(self.points()))
     }
 
+    /// Whether it is denser near its sensor, which is found within it.
+    pub(crate) fn is_seen_from_within(&self) -> bool {
+        sweep::is_seen_from_within(self.points())
+    }
+
     /// The share of isolated points in the air, such as the floaters of splats; `None` without such a haze.
     pub fn haze(&self) -> Option<f64> {
         haze::haze(self.points())
