@@ -87,8 +87,7 @@ pub struct Keypoints {
     /// Number of input points that were skipped because they are not finite, missing returns or outliers.
     #[pyo3(get)]
     num_skipped: usize,
-    /// The number of queries after each step: "queries", "occupied",
-    /// "above_threshold", "keypoints".
+    /// The number of queries after each step: "queries", "occupied", "above_threshold", "keypoints".
     #[pyo3(get)]
     counts: Py<PyDict>,
     /// Seconds of each step: "encode" (0 for `Field.detect`), "occupancy", "refine", "nms".
@@ -100,8 +99,7 @@ pub struct Keypoints {
     /// The size of a voxel of its volume, in cloud units; None for keypoints from a file.
     #[pyo3(get)]
     voxel_size: Option<f64>,
-    /// Notes on them, a list of sentences: on the choice of the model, and on outliers and other
-    /// faults of the cloud.
+    /// Notes on them, a list of sentences: on the choice of the model, and on outliers and other faults of the cloud.
     #[pyo3(get)]
     notes: Vec<String>,
     /// The digest of the model's weights.

@@ -9,12 +9,10 @@ use snake_geometry::Point;
 /// The first point is the farthest from the mean, so the selection rotates with the cloud. Among
 /// equally far points, the lowest index is taken. If the rest are duplicates, there are fewer points.
 ///
-/// The score is the distance to the nearest earlier point; the first point has the score of the
-/// second.
+/// The score is the distance to the nearest earlier point; the first point has the score of the second.
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
-/// repeated.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.
 pub fn farthest_points(points: &[Point], count: usize) -> Result<Vec<Response>> {
     among_finite(points, |points| find(points, count))
 }
@@ -35,8 +33,7 @@ mod tests {
 
     #[test]
     fn points_on_a_line_by_hand() {
-        // The mean is 4.2; 10 is the farthest from it, then 0, then 4 (4 from 0, 6 from 10), then 6
-        // (2 from 4), 1.
+        // The mean is 4.2; 10 is the farthest from it, then 0, then 4 (4 from 0, 6 from 10), then 6 (2 from 4), 1.
         let points = [0.0, 1.0, 4.0, 6.0, 10.0].map(|x| [x, 0.0, 0.0]);
         let keypoints = farthest_points(&points, 99).unwrap();
         let expected = [(4, 10.0), (0, 10.0), (2, 4.0), (3, 2.0), (1, 1.0)];

@@ -25,10 +25,9 @@ const FLAT: f64 = 1e-12;
 
 /// Harris 3D keypoints, by falling score.
 ///
-/// The score is PCL's response `0.04 + det C - 0.04 (tr C)²`, where `C` is the mean of `n nᵀ` over
-/// the neighbours' normals n. As `tr C` is 1, the response is the determinant, which is large where
-/// normals point in all directions. Keypoints are input points: PCL's refinement of positions is
-/// omitted.
+/// The score is PCL's response `0.04 + det C - 0.04 (tr C)²`, where `C` is the mean of `n nᵀ` over the neighbours'
+/// normals n. As `tr C` is 1, the response is the determinant, which is large where normals point in all directions.
+/// Keypoints are input points: PCL's refinement of positions is omitted.
 ///
 /// # Errors
 /// [`Error::Input`] when the cloud has no finite points or is one point repeated; [`Error::Option`]

@@ -22,8 +22,7 @@ options! {
     pub struct IssOptions {
         /// Radius of the neighbourhood for the eigenvalues.
         salient_radius, with_salient_radius: Length = Length::Resolutions(6.0);
-        /// Radius of non-maximum suppression: a keypoint's saliency is the largest within this
-        /// radius.
+        /// Radius of non-maximum suppression: a keypoint's saliency is the largest within this radius.
         non_max_radius, with_non_max_radius: Length = Length::Resolutions(4.0);
         /// Upper limit of the ratio of the second to the first eigenvalue, above 0.
         gamma_21, with_gamma_21: f64 = 0.975;
@@ -139,8 +138,7 @@ mod tests {
         assert!((score(&options).unwrap().score - 2.0 / 7.0).abs() < 1e-12);
         let sum = IssOptions { covariance: Covariance::AboutPoint, ..options };
         assert!((score(&sum).unwrap().score - 2.0).abs() < 1e-12);
-        // The shares are 8 / 18 and 2 / 8; limits are strict, and neighbours count the point
-        // itself.
+        // The shares are 8 / 18 and 2 / 8; limits are strict, and neighbours count the point itself.
         for (gamma_21, gamma_32, is_kept) in [(0.45, 0.26, true), (0.44, 0.26, false), (0.45, 0.25, false)] {
             assert_eq!(
                 score(&IssOptions { gamma_21, gamma_32, ..options }).is_some(),

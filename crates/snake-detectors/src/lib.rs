@@ -1,11 +1,10 @@
 //! Classical detectors for comparison: ISS, Harris 3D, SIFT 3D, surface variation, farthest-point
 //! sampling and random points.
 //!
-//! Each returns indices of input points with a score, by falling score and, for equal scores, by
-//! rising index. Results are the same for any number of threads. [`Detector::keypoints`] selects
-//! the keypoints of any detector by a [`Protocol`]. Points that are not finite, missing returns and
-//! [`Outliers`](snake_geometry::Outliers) are skipped. Of equal points only the first counts, except
-//! for random points. Indices refer to the whole cloud.
+//! Each returns indices of input points with a score, by falling score and, for equal scores, by rising index.
+//! Results are the same for any number of threads. [`Detector::keypoints`] selects the keypoints of any detector by a
+//! [`Protocol`]. Points that are not finite, missing returns and [`Outliers`](snake_geometry::Outliers) are skipped.
+//! Of equal points only the first counts, except for random points. Indices refer to the whole cloud.
 //!
 //! To add a detector, add a file here and a row to the table of [`Detector`].
 
@@ -49,10 +48,9 @@ pub enum Protocol {
     /// The strongest responses. There may be fewer than asked for.
     #[default]
     Ranked,
-    /// The selection for the baselines in the paper's tables (USIP's test code): a random subset of
-    /// the responses, filled up with random points. Without responses it starts with the cloud's
-    /// first point. It always returns the number asked for, up to the size of the cloud, but is
-    /// hardly better than random points.
+    /// The selection for the baselines in the paper's tables (USIP's test code): a random subset of the responses,
+    /// filled up with random points. Without responses it starts with the cloud's first point. It always returns the
+    /// number asked for, up to the size of the cloud, but is hardly better than random points.
     Paper,
 }
 
@@ -65,12 +63,10 @@ struct Wanted<'a> {
     control: &'a Control,
 }
 
-/// The table of detectors: documentation, variant, name, and the function that finds keypoints
-/// among finite points.
+/// The table of detectors: documentation, variant, name, and the function that finds keypoints among finite points.
 macro_rules! detectors {
     ($($(#[$doc:meta])+ $variant:ident = $name:literal: $find:expr;)+) => {
-        /// A detector of keypoints: all voxels, the model, or a classical detector with its default
-        /// options.
+        /// A detector of keypoints: all voxels, the model, or a classical detector with its default options.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
         pub enum Detector {
             /// Every point of the downsampled cloud.
@@ -117,8 +113,7 @@ detectors! {
         let options = Harris3dOptions::default().with_non_max(wanted.protocol == Protocol::Ranked);
         Ok(wanted.select(points, harris3d_with(points, &options, wanted.control)?))
     };
-    /// Extrema of the differences of Gaussians of the curvature, or of the y coordinate for
-    /// [`Protocol::Paper`].
+    /// Extrema of the differences of Gaussians of the curvature, or of the y coordinate for [`Protocol::Paper`].
     Sift3d = "sift3d": |points, wanted| {
         let field = if wanted.protocol == Protocol::Ranked { SiftField::Curvature } else { SiftField::Y };
         let options = Sift3dOptions::default().with_field(field);

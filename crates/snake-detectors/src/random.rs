@@ -10,8 +10,7 @@ use snake_geometry::Point;
 /// gets a random score in [0, 1), and the points with the highest scores are taken.
 ///
 /// # Errors
-/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point
-/// repeated.
+/// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point repeated.
 pub fn random_points(points: &[Point], count: usize, seed: u64) -> Result<Vec<Response>> {
     among_finite(points, |points| find(points, count, seed))
 }

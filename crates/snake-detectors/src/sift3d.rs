@@ -21,8 +21,7 @@ pub enum SiftField {
     /// three, 0 to 1/3. It is invariant to rotation.
     #[default]
     Curvature,
-    /// The y coordinate, as in the wrapper behind the paper's tables. It is not invariant to
-    /// rotation.
+    /// The y coordinate, as in the wrapper behind the paper's tables. It is not invariant to rotation.
     Y,
 }
 
@@ -38,16 +37,14 @@ options! {
         scales_per_octave, with_scales_per_octave: usize = 8, from 1 to 64;
         /// Minimum absolute difference of Gaussians of an extremum, in the field's units.
         min_contrast, with_min_contrast: f64 = 0.0, from 0 or more;
-        /// Scalar field: curvature (surface variation) or y (the coordinate, as in the paper's
-        /// baseline).
+        /// Scalar field: curvature (surface variation) or y (the coordinate, as in the paper's baseline).
         field, with_field: SiftField = SiftField::Curvature;
         /// Radius of the neighbourhood for the surface variation.
         curvature_radius, with_curvature_radius: Length = Length::Resolutions(6.0);
     }
 }
 
-/// SIFT 3D keypoints, by falling score. The score is the absolute difference of Gaussians, in the
-/// field's units.
+/// SIFT 3D keypoints, by falling score. The score is the absolute difference of Gaussians, in the field's units.
 ///
 /// Each octave reduces the previous octave's cloud to voxel means and blurs the field at
 /// `scales_per_octave + 3` scales. An extremum is a difference between neighbouring scales that is
@@ -193,9 +190,8 @@ mod tests {
 
     #[test]
     fn differences_of_gaussians_by_hand() {
-        // With one scale per octave the standard deviations are half the base, the base, twice and
-        // four times the base. The neighbour is 2 away: beyond 3 sigma of the first Gaussian and
-        // within 3 sigma of the others.
+        // With one scale per octave the standard deviations are half the base, the base, twice and four times the
+        // base. The neighbour is 2 away: beyond 3 sigma of the first Gaussian and within 3 sigma of the others.
         let cloud = Neighbors::new(on_line(&[0.0, 2.0])).unwrap();
         let differences = differences_of_gaussians(&cloud, &[0.0, 1.0], 1.0, 1, &Control::default()).unwrap();
         let blurred = |sigma: f64| {

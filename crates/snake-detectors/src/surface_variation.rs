@@ -11,17 +11,15 @@ options! {
     pub struct SurfaceVariationOptions {
         /// Radius of the neighbourhood for the eigenvalues.
         radius, with_radius: Length = Length::Percent(30.0);
-        /// Radius of non-maximum suppression: a keypoint's surface variation is the largest within
-        /// this radius.
+        /// Radius of non-maximum suppression: a keypoint's surface variation is the largest within this radius.
         non_max_radius, with_non_max_radius: Length = Length::Resolutions(4.0);
     }
 }
 
 /// Keypoints of the largest surface variation, by falling score.
 ///
-/// The score is the smallest eigenvalue of the covariance of the points closer than `radius`,
-/// divided by the sum of all three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no
-/// keypoint.
+/// The score is the smallest eigenvalue of the covariance of the points closer than `radius`, divided by the sum of
+/// all three: 0 on a plane, at most 1/3. An exactly flat neighbourhood has no keypoint.
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) when the cloud has no finite points or is one point

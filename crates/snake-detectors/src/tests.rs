@@ -18,8 +18,7 @@ fn a_flat_plate_has_no_keypoints() {
     assert_eq!(harris3d(&plate(0.3), &Harris3dOptions::default()).unwrap(), []);
 }
 
-/// The surface of a unit cube: `side`² points on each face. Faces share the points on their common
-/// edges.
+/// The surface of a unit cube: `side`² points on each face. Faces share the points on their common edges.
 pub(super) fn cube(side: usize) -> Vec<Point> {
     let at = |i: usize| i as f32 / (side - 1) as f32;
     let on_faces = (0..6 * side * side).map(|i| {

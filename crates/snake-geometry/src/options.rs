@@ -298,8 +298,7 @@ mod tests {
     options! {
         /// Options of every kind.
         pub struct TestOptions {
-            /// Number of results,
-            /// at least.
+            /// Number of results, at least.
             ///
             /// Not for other languages.
             number, with_number: usize = 3, from 2 or more;

@@ -1,7 +1,6 @@
 //! Setters for the options structs, which other crates cannot build field by field.
 
-/// Gives an options struct one setter for each field listed:
-/// `setters!(Options { radius: f64 => with_radius })`.
+/// Gives an options struct one setter for each field listed: `setters!(Options { radius: f64 => with_radius })`.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! setters {

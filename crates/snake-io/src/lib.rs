@@ -89,6 +89,10 @@ pub use write::keypoint_source::KeypointSource;
 pub use write::mesh::{MESH_EXTENSIONS, check_mesh_path, write_mesh};
 pub use write::{adds_origin, origin_note, write_cloud, write_keypoints, write_points};
 
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;
+
 /// The limit of the unpacked size, as a multiple of the packed size. No scan exceeds it; a malicious file could otherwise
 /// take all memory.
 const MAX_EXPANSION: usize = 50;

@@ -1,8 +1,7 @@
-//! Rigid registration: finds the rotation and translation that map one point cloud onto another,
-//! without an initial guess, and says whether they can be relied on. Descriptors of two clouds are
-//! matched, transforms on which many matches agree are compared on the clouds, and ICP refines the
-//! best. Descriptors are FPFH or of a SNAKE model; keypoints are all voxels, or those of a model or
-//! of classical methods ([`Detector`]).
+//! Rigid registration: finds the rotation and translation that map one point cloud onto another, without an initial
+//! guess, and says whether they can be relied on. Descriptors of two clouds are matched, transforms on which many
+//! matches agree are compared on the clouds, and ICP refines the best. Descriptors are FPFH or of a SNAKE model;
+//! keypoints are all voxels, or those of a model or of classical methods ([`Detector`]).
 //!
 //! ```text
 //! prepare     voxels, normals, sensors, keypoints         once for a cloud

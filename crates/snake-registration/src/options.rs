@@ -19,8 +19,7 @@ options! {
         /// Descriptor that matches keypoints: fpfh, which is invariant to rotation, or field, for
         /// clouds of about the same orientation.
         descriptor, with_descriptor: Descriptor = Descriptor::Fpfh;
-        /// Largest number of keypoints of a cloud; the best are kept, and a random part of too many
-        /// voxels.
+        /// Largest number of keypoints of a cloud; the best are kept, and a random part of too many voxels.
         max_keypoints, with_max_keypoints: usize = 8000, from 3 or more;
         /// Number of keypoints of a cloud, spread evenly over it, for links of low bandwidth.
         ///
@@ -100,8 +99,7 @@ options! {
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct AlignPriors {
-    /// The sensor's position in the frame of each cloud, where it is known: one for each cloud, or
-    /// none at all.
+    /// The sensor's position in the frame of each cloud, where it is known: one for each cloud, or none at all.
     pub viewpoints: Vec<Option<[f64; 3]>>,
     /// An approximate pose of each cloud in one common frame, where it is known: one for each cloud,
     /// or none at all. Pairs of clouds with poses start from them beside the search, and a transform

@@ -9,11 +9,9 @@ record! {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Registration {
-    /// Maps source points to the target frame: `p_target = R p_source + t`, or
-    /// `R (scale p_source) + t` with `scale`.
+    /// Maps source points to the target frame: `p_target = R p_source + t`, or `R (scale p_source) + t` with `scale`.
     pub t_target_source: RigidTransform,
-    /// Factor by which source points are multiplied before `t_target_source`: 1 unless
-    /// `estimate_scale` is set.
+    /// Factor by which source points are multiplied before `t_target_source`: 1 unless `estimate_scale` is set.
     pub scale: f64,
     /// Whether the transform can be relied on, and why or why not.
     pub verdict: Verdict,
@@ -23,8 +21,7 @@ pub struct Registration {
     pub matches: Matches,
     /// What was used of source and target.
     pub clouds: [CloudReport; 2],
-    /// The best distinct transforms, best first, at most as many as asked for. The first is
-    /// `t_target_source`.
+    /// The best distinct transforms, best first, at most as many as asked for. The first is `t_target_source`.
     pub hypotheses: Vec<Hypothesis>,
     /// Run time in seconds.
     pub seconds: f64,
@@ -50,12 +47,10 @@ pub struct Verdict {
     /// Fraction of the squared motion of planar patches that they resist, in the direction of
     /// motion that they resist least.
     ///
-    /// It is 0 if the source can slide or rotate on the target, and about 0.1 if surfaces face all
-    /// ways. Where less than half of the overlap lies on patches and slides fit worse by 0.07, it
-    /// is `slide_margin`.
+    /// It is 0 if the source can slide or rotate on the target, and about 0.1 if surfaces face all ways. Where less
+    /// than half of the overlap lies on patches and slides fit worse by 0.07, it is `slide_margin`.
     pub weakest_constraint: f64,
-    /// By how much the overlap exceeds that of slides of the source; below 0 if a slide fits
-    /// better.
+    /// By how much the overlap exceeds that of slides of the source; below 0 if a slide fits better.
     ///
     /// The overlap is a share, 0 to 1, less twice the violated free space. Slides are by 2 to 12
     /// inlier distances along the direction that the overlap fixes least.
@@ -75,21 +70,18 @@ record! {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
-    /// Share of the source's voxels, 0 to 1, that the transform brings closer than
-    /// `inlier_distance` to a voxel of the target (Open3D's fitness). The other voxels do not
-    /// overlap the target, or the transform is wrong.
+    /// Share of the source's voxels, 0 to 1, that the transform brings closer than `inlier_distance` to a voxel of
+    /// the target (Open3D's fitness). The other voxels do not overlap the target, or the transform is wrong.
     pub fitness: f64,
-    /// Root mean square distance of these voxels to their nearest ones, in cloud units (Open3D's
-    /// inlier RMSE); 0 without any. A right transform gives about the mean distance between
-    /// neighbours.
+    /// Root mean square distance of these voxels to their nearest ones, in cloud units (Open3D's inlier RMSE); 0
+    /// without any. A right transform gives about the mean distance between neighbours.
     pub rmse: f64,
     /// The distance below which voxels overlap and matches agree, in cloud units.
     pub inlier_distance: f64,
     /// Side of the voxels, in cloud units.
     pub voxel_size: f64,
-    /// Information matrix (inverse covariance up to the noise) of the transform, for a pose graph:
-    /// of a small rotation (radians) and then a small translation (cloud units) of the source in
-    /// the target frame.
+    /// Information matrix (inverse covariance up to the noise) of the transform, for a pose graph: of a small
+    /// rotation (radians) and then a small translation (cloud units) of the source in the target frame.
     ///
     /// It is the sum of `J Jᵀ` over the source's voxels on the target, where J is the gradient of
     /// the distance to the tangent plane.
@@ -111,8 +103,7 @@ pub struct Matches {
     pub rmse: f64,
     /// Number of matches that agree with the refined transform.
     pub num_agreeing: usize,
-    /// Number of matches that agree with the best other transform, at least two inlier distances
-    /// away; 0 without one.
+    /// Number of matches that agree with the best other transform, at least two inlier distances away; 0 without one.
     pub num_rival_agreeing: usize,
     /// Standard deviation of the matches that agree, in the direction in which they are spread
     /// least, in cloud units. Matches on one plane, with a spread near 0, do not fix a transform.
@@ -137,8 +128,7 @@ pub struct CloudReport {
     /// Share of the points, 0 to 1, that nothing hides from there.
     #[serde(default)]
     pub visible: Option<f64>,
-    /// Number of points that were skipped because they are not finite, are outliers or stand for
-    /// missing returns.
+    /// Number of points that were skipped because they are not finite, are outliers or stand for missing returns.
     pub num_skipped: usize,
 }
 }
@@ -155,8 +145,7 @@ pub struct Hypothesis {
     pub score: f64,
     /// See [`Matches::num_inliers`].
     pub num_inliers: usize,
-    /// As [`Verdict::free_space_violation`], from depth images that are quicker to make and less
-    /// sharp.
+    /// As [`Verdict::free_space_violation`], from depth images that are quicker to make and less sharp.
     pub free_space_violation: f64,
 }
 }
@@ -220,9 +209,8 @@ impl Registration {
         self
     }
 
-    /// Converts the transforms from points relative to an origin (see
-    /// [`Cloud`](snake_geometry::Cloud)) to points with their origins added. The information matrix
-    /// is about the same axes, and stays.
+    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_geometry::Cloud)) to points
+    /// with their origins added. The information matrix is about the same axes, and stays.
     #[must_use]
     pub fn between_origins(mut self, source: [f64; 3], target: [f64; 3]) -> Self {
         let source = source.map(|v| self.scale * v);

@@ -39,9 +39,8 @@ pub fn transform_points(transform: &RigidTransform, points: &[Point]) -> Vec<Poi
 
 /// [`kabsch`] for pairs (source, target); `None` if the points of either are collinear.
 ///
-/// The rotation is the eigenvector of Horn (1987), a unit quaternion and therefore never a
-/// reflection. nalgebra's decomposition of 3×3 matrices squares them, which loses half of the digits
-/// if three points are nearly collinear.
+/// The rotation is the eigenvector of Horn (1987), a unit quaternion and therefore never a reflection. nalgebra's
+/// decomposition of 3×3 matrices squares them, which loses half of the digits if three points are nearly collinear.
 pub(crate) fn best_fit(pairs: impl Iterator<Item = (Vector, Vector)> + Clone) -> Option<IsometryMatrix3<f64>> {
     let count = pairs.clone().count() as f64;
     let [source_mean, target_mean] =

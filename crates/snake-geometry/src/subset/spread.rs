@@ -35,8 +35,7 @@ pub fn suppress_to_count(points: &[Point], count: usize) -> Result<(Vec<usize>, 
     }
     let tree = KdTree::new(points)?;
     let most = count + (SURPLUS * count as f64) as usize;
-    // One point more than `most` shows that the radius is too small.
-    // One tree serves all radii.
+    // One point more than `most` shows that the radius is too small. One tree serves all radii.
     let kept_by = |radius: f32| {
         keep_apart(&order(), most + 1, |index, visit| {
             tree.within(&points[index], radius * radius, |other, _| visit(other));

@@ -96,8 +96,7 @@ impl DepthImage {
         ((elevation / self.pixel).floor() as i32, offset.y.atan2(offset.x), depth)
     }
 
-    /// The column of an azimuth. Rows near the poles have fewer pixels, so all pixels have about the
-    /// same area.
+    /// The column of an azimuth. Rows near the poles have fewer pixels, so all pixels have about the same area.
     fn column(&self, row: i32, azimuth: f64) -> i32 {
         (azimuth * ((f64::from(row) + 0.5) * self.pixel).cos().abs() / self.pixel).floor() as i32
     }

@@ -5,8 +5,7 @@ use snake_geometry::Vector;
 /// Maximum number of cells per point; a cloud of greater extent gets larger cells.
 const MAX_CELLS_PER_POINT: f64 = 256.0;
 
-/// Points sorted into cells that are at least as wide as the search distance, so that a query
-/// reads 27 cells.
+/// Points sorted into cells that are at least as wide as the search distance, so that a query reads 27 cells.
 pub(crate) struct NearGrid {
     corner: Vector,
     cell: f64,
@@ -98,8 +97,7 @@ impl NearGrid {
         (best.1 < limit).then_some((best.0 as usize, best.1))
     }
 
-    /// Calls `visit` with the index, offset and squared distance of each point closer than the
-    /// grid's distance.
+    /// Calls `visit` with the index, offset and squared distance of each point closer than the grid's distance.
     pub(crate) fn within(&self, query: &Vector, mut visit: impl FnMut(usize, Vector, f64)) {
         self.for_rows_near(query, |row| {
             for (point, index) in row {

@@ -3,8 +3,7 @@
 use snake_core::{Control, Error, Result};
 use snake_geometry::{Neighbors, Point, Vector, check_points, try_in_parallel, vector};
 
-/// Unit normals `(N, 3)`: the directions of least variance among the points closer than `radius`
-/// (cloud units).
+/// Unit normals `(N, 3)`: the directions of least variance among the points closer than `radius` (cloud units).
 ///
 /// A normal points towards the side of the cloud's mean, so normals rotate and move with the cloud.
 /// It is zero if fewer than three points are closer than `radius`.

@@ -1,5 +1,4 @@
-//! Pairs of points and planes: their information about a transform, and the least-squares step onto
-//! the planes.
+//! Pairs of points and planes: their information about a transform, and the least-squares step onto the planes.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Rotation3, Translation3, Vector6};
 

@@ -46,8 +46,7 @@ pub(crate) struct Agreement {
 }
 
 impl Agreement {
-    /// The score that ranks transforms. Planes overlap under many wrong transforms, so the inliers
-    /// count too.
+    /// The score that ranks transforms. Planes overlap under many wrong transforms, so the inliers count too.
     pub(crate) fn score(&self, num_inliers: usize) -> f64 {
         self.fit() + INLIER_WEIGHT * num_inliers as f64
     }
@@ -96,8 +95,7 @@ impl<'a> Surface<'a> {
         self.agree(a, b).then(|| (if a.dot(b) < 0.0 { b - a } else { a + b }).normalize())
     }
 
-    /// Compares every `step`-th point of the source, and as many of the target, with the other
-    /// surface.
+    /// Compares every `step`-th point of the source, and as many of the target, with the other surface.
     pub(crate) fn agreement(source: &Self, target: &Self, transform: &IsometryMatrix3<f64>, step: usize) -> Agreement {
         let on_target = |index| source.is_on(index, target, transform);
         let count = |surface: &Self, step, is_one: &(dyn Fn(usize) -> bool + Sync)| {
@@ -179,9 +177,8 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points
-/// closer than the grid's distance to the target, and the root mean square distance of these
-/// points; 0 without any.
+/// The quality of a transform, as in Open3D's `evaluate_registration`: the share of source points closer than the
+/// grid's distance to the target, and the root mean square distance of these points; 0 without any.
 pub(crate) fn fitness(source: &[Vector], target: &NearGrid, transform: &IsometryMatrix3<f64>) -> (f64, f64) {
     let squared = |point: &Vector| target.nearest(&moved(transform, point)).map(|(_, squared)| squared);
     let squared: Vec<f64> = source.par_iter().filter_map(squared).collect();

@@ -9,8 +9,7 @@ pub(crate) fn downsample(points: &[Point], voxel_size: f64, control: &Control) -
     Neighbors::new(voxel_means(points, voxel_size, &counter)?)
 }
 
-/// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first
-/// points.
+/// The mean of the points in each voxel of side `voxel_size`, in the order of the voxels' first points.
 pub(crate) fn voxel_means(points: &[Point], voxel_size: f64, counter: &Counter) -> Result<Vec<Vector>> {
     counter.check()?;
     let cell = |point: &Point| point.map(|v| floor(f64::from(v) / voxel_size));

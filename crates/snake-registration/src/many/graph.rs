@@ -22,10 +22,9 @@ pub(super) struct Part {
     pub(super) links: Vec<(usize, f64)>,
 }
 
-/// The parts of `count` clouds, those with the most clouds first. Links whose error exceeds the
-/// greatest of their part's `thresholds` (cloud units) contradict the others and are dropped, the
-/// worst first: one outlier link can pull a pose away from many inliers. Poses start from the links
-/// with the least `doubts`.
+/// The parts of `count` clouds, those with the most clouds first. Links whose error exceeds the greatest of their
+/// part's `thresholds` (cloud units) contradict the others and are dropped, the worst first: one outlier link can
+/// pull a pose away from many inliers. Poses start from the links with the least `doubts`.
 pub(super) fn split(
     count: usize,
     links: &[Link],

@@ -9,8 +9,7 @@ use snake_geometry::Vector;
 use crate::rigid::displacement;
 use crate::steps::judge;
 
-/// A transform between two clouds and the probability, 0 to 1, that it is right by its own
-/// evidence.
+/// A transform between two clouds and the probability, 0 to 1, that it is right by its own evidence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Witness {
     pub(super) source: usize,

@@ -11,9 +11,8 @@ record! {
 pub struct Alignment {
     /// The pose of each cloud.
     pub poses: Vec<Pose>,
-    /// The clouds that are linked to each other, as indices in rising order; the part with the most
-    /// clouds comes first. Parts have frames of their own: poses of different parts cannot be
-    /// compared.
+    /// The clouds that are linked to each other, as indices in rising order; the part with the most clouds comes
+    /// first. Parts have frames of their own: poses of different parts cannot be compared.
     pub parts: Vec<Vec<usize>>,
     /// The registrations of pairs that the poses follow.
     pub edges: Vec<Edge>,
@@ -25,8 +24,7 @@ pub struct Alignment {
     pub notes: Vec<String>,
     /// Number of pairs that were registered.
     pub num_pairs: usize,
-    /// Number of points of each cloud that were skipped because they are not finite, or are
-    /// outliers.
+    /// Number of points of each cloud that were skipped because they are not finite, or are outliers.
     pub num_skipped: Vec<usize>,
     /// Run time.
     pub seconds: f64,
@@ -40,13 +38,11 @@ record! {
 pub struct Pose {
     /// Index of the cloud's part.
     pub part: usize,
-    /// Maps the cloud's points to the frame of the part, which is that of its first cloud:
-    /// `p_part = R p_cloud + t`.
+    /// Maps the cloud's points to the frame of the part, which is that of its first cloud: `p_part = R p_cloud + t`.
     pub t_part_cloud: RigidTransform,
-    /// Covariance of a small rotation (radians) and then a small translation (cloud units) of the
-    /// cloud in its own frame, relative to the first cloud of the part; zeros for the first. It is
-    /// that of independent errors of the points and, where loops disagree more, that of the
-    /// disagreement.
+    /// Covariance of a small rotation (radians) and then a small translation (cloud units) of the cloud in its own
+    /// frame, relative to the first cloud of the part; zeros for the first. It is that of independent errors of the
+    /// points and, where loops disagree more, that of the disagreement.
     pub covariance: [[f64; 6]; 6],
 }
 }
@@ -64,11 +60,9 @@ pub struct Edge {
     pub t_target_source: RigidTransform,
     /// How likely the transform is right by its own evidence, 0 to 1.
     pub confidence: f64,
-    /// How likely it is right by its own evidence and the loops of three transforms that it closes,
-    /// 0 to 1.
+    /// How likely it is right by its own evidence and the loops of three transforms that it closes, 0 to 1.
     pub belief: f64,
-    /// The root mean square distance between the tangent planes of the pair and the poses'
-    /// transform, in cloud units.
+    /// The root mean square distance between the tangent planes of the pair and the poses' transform, in cloud units.
     pub residual: f64,
     /// The information matrix of the pair, as [`Fit::information`](crate::Fit::information).
     pub information: [[f64; 6]; 6],
@@ -76,8 +70,7 @@ pub struct Edge {
 }
 
 record! {
-/// A reliable registration that contradicts the initial poses, such as that of two storeys with one
-/// floor plan.
+/// A reliable registration that contradicts the initial poses, such as that of two storeys with one floor plan.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Contradiction {
@@ -85,8 +78,7 @@ pub struct Contradiction {
     pub source: usize,
     /// Index of the target.
     pub target: usize,
-    /// The root mean square distance of the source's points from where the initial poses put them, in
-    /// cloud units.
+    /// The root mean square distance of the source's points from where the initial poses put them, in cloud units.
     pub distance: f64,
     /// The largest distance that does not contradict them; see
     /// [`AlignOptions::pose_tolerance`](crate::AlignOptions::pose_tolerance).
@@ -110,9 +102,8 @@ impl Alignment {
         self
     }
 
-    /// Converts the transforms from points relative to an origin (see
-    /// [`Cloud`](snake_geometry::Cloud)) to points with their origins added. `origins` has one for
-    /// each cloud.
+    /// Converts the transforms from points relative to an origin (see [`Cloud`](snake_geometry::Cloud)) to points
+    /// with their origins added. `origins` has one for each cloud.
     #[must_use]
     pub fn between_origins(mut self, origins: &[[f64; 3]]) -> Self {
         for (pose, origin) in self.poses.iter_mut().zip(origins) {

@@ -38,9 +38,8 @@ use tries::{Effort, Search};
 ///
 /// # Errors
 /// [`Error::Input`](snake_core::Error::Input) for a cloud without finite points or without extent;
-/// [`Error::NoTransform`](snake_core::Error::NoTransform) when no three matches fit a rigid
-/// transform; [`Error::Option`](snake_core::Error::Option) when an option is outside its range or
-/// needs a model.
+/// [`Error::NoTransform`](snake_core::Error::NoTransform) when no three matches fit a rigid transform;
+/// [`Error::Option`](snake_core::Error::Option) when an option is outside its range or needs a model.
 pub fn register(source: &[Point], target: &[Point], options: &RegisterOptions) -> Result<Registration> {
     register_with(source, target, None, options, &PairOptions::default(), &Control::default())
 }

@@ -46,8 +46,7 @@ impl PreparedMap {
         }
         check_viewpoint("viewpoint", viewpoint)?;
         let viewpoints = [place_viewpoint(viewpoint, map.origin)];
-        // The seed of a pair's target. With the source's seed, equal clouds would have equal random
-        // keypoints.
+        // The seed of a pair's target. With the source's seed, equal clouds would have equal random keypoints.
         let map_options = options.with_seed(options.seed.wrapping_add(1)).with_max_keypoints(KEYPOINTS);
         let model = options.model_to_run(model)?;
         let prepared = prepare(&[&map.points], &viewpoints, model, &map_options, control)?.clouds.remove(0);
@@ -63,9 +62,8 @@ impl PreparedMap {
     /// with the lengths of the map.
     ///
     /// # Errors
-    /// The errors of [`register_with`](super::register_with()); [`Error::Option`] also for a
-    /// `target_viewpoint`, which belongs to [`PreparedMap::new`], and for `estimate_scale`, which would
-    /// change the lengths.
+    /// The errors of [`register_with`](super::register_with()); [`Error::Option`] also for a `target_viewpoint`,
+    /// which belongs to [`PreparedMap::new`], and for `estimate_scale`, which would change the lengths.
     pub fn register(&self, scan: &Cloud, pair_options: &PairOptions, control: &Control) -> Result<Registration> {
         let start = Instant::now();
         pair_options.check()?;

@@ -99,8 +99,7 @@ fn clouds_that_cannot_be_registered_are_refused() {
         let error = run(&good, &bad, &options()).unwrap_err().to_string();
         assert!(error.starts_with("target: ") && error.contains(expected), "{error}");
     }
-    // Clouds that determine no rotation, or that do not match, give few inliers or an error, but
-    // never a panic.
+    // Clouds that determine no rotation, or that do not match, give few inliers or an error, but never a panic.
     for poor in [line, plane, good[..2].to_vec(), good[..5].to_vec()] {
         for (source, target) in [(&poor, &good), (&good, &poor), (&poor, &poor)] {
             match run(source, target, &options()) {

@@ -4,11 +4,10 @@
 //! prepare → describe → match_rows → consensus → refine → judge
 //! ```
 //!
-//! [`prepare()`] downsamples and measures clouds; a prepared cloud serves any number of pairs. For
-//! a [`Pair`], [`describe()`] computes descriptors, [`match_rows()`] matches them, and
-//! [`consensus()`] searches for transforms. [`refine()`] turns the transforms into candidates, best
-//! first. [`judge()`] compares the best candidate with the others. [`challenge()`] compares it with
-//! rotations and shifts that the search may have missed.
+//! [`prepare()`] downsamples and measures clouds; a prepared cloud serves any number of pairs. For a [`Pair`],
+//! [`describe()`] computes descriptors, [`match_rows()`] matches them, and [`consensus()`] searches for transforms.
+//! [`refine()`] turns the transforms into candidates, best first. [`judge()`] compares the best candidate with the
+//! others. [`challenge()`] compares it with rotations and shifts that the search may have missed.
 
 pub mod consensus;
 pub mod describe;

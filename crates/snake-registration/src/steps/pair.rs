@@ -53,8 +53,7 @@ impl<'a> Pair<'a> {
         self.criteria.signed
     }
 
-    /// The matches of keypoints by their indices `[source, target]`, with the normals of the voxels
-    /// next to them.
+    /// The matches of keypoints by their indices `[source, target]`, with the normals of the voxels next to them.
     ///
     /// # Errors
     /// [`Error::Input`] when there is no keypoint of an index.
@@ -76,8 +75,7 @@ impl<'a> Pair<'a> {
         indices.iter().map(matched).collect()
     }
 
-    /// Whether a sensor was assumed at the origin of a cloud, and opposite normals on the overlap
-    /// contradict that.
+    /// Whether a sensor was assumed at the origin of a cloud, and opposite normals on the overlap contradict that.
     pub fn contradicts_viewpoints(&self, t_target_source: &RigidTransform) -> bool {
         let [source, target] = self.surfaces();
         self.viewpoints().iter().flatten().any(|viewpoint| viewpoint.used == ViewpointUsed::Origin)

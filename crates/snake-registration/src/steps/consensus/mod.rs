@@ -1,10 +1,9 @@
 //! Step 4: transforms on which many matches agree, from a graph of compatible matches.
 //!
-//! Two matches are compatible if one rigid transform can satisfy both: their points are equally far
-//! apart in both clouds, and their normals have the same angles with each other and with the line
-//! between the points. Correct matches are compatible with each other; wrong matches are compatible
-//! only by chance. Two matches therefore belong together if many others are compatible with both
-//! (second-order consistency, SC²-PCR, Chen et al. 2022).
+//! Two matches are compatible if one rigid transform can satisfy both: their points are equally far apart in both
+//! clouds, and their normals have the same angles with each other and with the line between the points. Correct
+//! matches are compatible with each other; wrong matches are compatible only by chance. Two matches therefore belong
+//! together if many others are compatible with both (second-order consistency, SC²-PCR, Chen et al. 2022).
 
 mod graph;
 

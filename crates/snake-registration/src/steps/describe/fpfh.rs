@@ -16,14 +16,12 @@ type Histograms = [f32; FPFH_DIMENSION];
 
 /// FPFH descriptors `(N, 33)`, flat, of points `(N, 3)` with unit normals `(N, 3)`.
 ///
-/// A descriptor is three histograms of the angles between the normals of a point and of its
-/// neighbours closer than `radius` (cloud units). It is invariant to rigid motion of the cloud with
-/// its normals.
+/// A descriptor is three histograms of the angles between the normals of a point and of its neighbours closer than
+/// `radius` (cloud units). It is invariant to rigid motion of the cloud with its normals.
 ///
-/// Like Open3D and unlike the paper, this weights neighbours by inverse squared distances, and
-/// scales each of their three histograms to 100 before it adds the point's own histogram. Points
-/// without neighbours have zeros. Angles are computed in `f32`: a pair of points whose angle is
-/// next to the edge of a bin may be in the other bin.
+/// Like Open3D and unlike the paper, this weights neighbours by inverse squared distances, and scales each of their
+/// three histograms to 100 before it adds the point's own histogram. Points without neighbours have zeros. Angles are
+/// computed in `f32`: a pair of points whose angle is next to the edge of a bin may be in the other bin.
 ///
 /// # Errors
 /// [`Error::Input`] when there are no points, a number is not finite, or the numbers of points and
@@ -52,8 +50,7 @@ pub fn fpfh_with(points: &[Point], normals: &[Point], radius: f64, control: &Con
 
 /// [`fpfh`] of points that were checked.
 ///
-/// Without `signed`, normals have no sign: the descriptors use the absolute cosines and the angle
-/// between two lines.
+/// Without `signed`, normals have no sign: the descriptors use the absolute cosines and the angle between two lines.
 pub(crate) fn descriptors(
     points: &[Vector],
     normals: &[Vector],
@@ -106,9 +103,8 @@ fn cross(a: &[f32; 3], b: &[f32; 3]) -> [f32; 3] {
 
 /// The Darboux angles θ, α and φ of a pair of points, scaled to 0..1.
 ///
-/// With the unit vector u between the points, the normal n of the frame and the other normal m:
-/// `v = u × n / L`, `w = n × v`, so `α = v·m = u·(n × m) / L` and `w·m = (u·m - (n·m)(u·n)) / L`
-/// with `L² = 1 - (u·n)²`.
+/// With the unit vector u between the points, the normal n of the frame and the other normal m: `v = u × n / L`,
+/// `w = n × v`, so `α = v·m = u·(n × m) / L` and `w·m = (u·m - (n·m)(u·n)) / L` with `L² = 1 - (u·n)²`.
 #[inline]
 fn pair_units(offset: [f32; 3], squared: f32, normal: &[f32; 3], other: &[f32; 3], signed: bool) -> [f32; 3] {
     let inverse = 1.0 / squared.sqrt();

@@ -24,8 +24,7 @@ impl<'a> Rows<'a> {
     /// Rows of `dimension` numbers, flat.
     ///
     /// # Errors
-    /// [`Error::Input`] when the number of values is no multiple of `dimension`, or a value is not
-    /// finite.
+    /// [`Error::Input`] when the number of values is no multiple of `dimension`, or a value is not finite.
     pub fn new(values: impl Into<Cow<'a, [f32]>>, dimension: usize) -> Result<Self> {
         let values = values.into();
         let refused = |reason| Err(Error::Input { what: "descriptors", reason });
@@ -91,13 +90,11 @@ pub(crate) fn describe_cloud<'a>(cloud: &'a PreparedCloud, signed: bool, control
 }
 
 impl VoxelCloud {
-    /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see
-    /// [`VoxelCloud::dimension`].
+    /// Descriptors `(N, dimension)` of points `(N, 3)` in the cloud's frame, flat; see [`VoxelCloud::dimension`].
     ///
     /// # Errors
-    /// [`Error::Input`] for coordinates that are not finite; [`Error::Option`] for descriptors of
-    /// the field without a model; [`Error::Weights`] when the model overflows; [`Error::Cancelled`]
-    /// and [`Error::DeadlineExceeded`].
+    /// [`Error::Input`] for coordinates that are not finite; [`Error::Option`] for descriptors of the field without a
+    /// model; [`Error::Weights`] when the model overflows; [`Error::Cancelled`] and [`Error::DeadlineExceeded`].
     pub fn descriptors(&self, points: &[Point], descriptor: Descriptor, control: &Control) -> Result<Vec<f32>> {
         match descriptor {
             Descriptor::Fpfh => {
@@ -155,8 +152,7 @@ fn hellinger(histograms: &mut [f32], dimension: usize) {
 /// the radius of the neighbourhood is a share of the size, as in [`register`](crate::register()).
 ///
 /// # Errors
-/// [`Error::Input`] for a cloud without finite points or without extent, and for keypoints that are
-/// not finite.
+/// [`Error::Input`] for a cloud without finite points or without extent, and for keypoints that are not finite.
 pub fn describe_keypoints(points: &[Point], keypoints: &[Point], control: &Control) -> Result<Vec<f32>> {
     if !keypoints.is_empty() {
         check_points("keypoints", keypoints)?;

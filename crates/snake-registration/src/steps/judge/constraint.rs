@@ -18,11 +18,9 @@ const FIXED_MARGIN: f64 = 0.07;
 
 /// The motions of the source that planar patches of the overlap resist.
 pub(super) struct Constraint {
-    /// The directions that the patches leave open, as orthonormal columns; see
-    /// [`names`](super::open_motions::names).
+    /// The directions that the patches leave open, as orthonormal columns; see [`names`](super::open_motions::names).
     pub(super) open: Matrix6xX<f64>,
-    /// Fraction of the patches' squared motion that they resist, in the direction that they resist
-    /// least.
+    /// Fraction of the patches' squared motion that they resist, in the direction that they resist least.
     pub(super) weakest: f64,
 }
 

@@ -65,8 +65,7 @@ struct Term {
     words: String,
 }
 
-/// Whether a transform fits about as well as the best; each comes with the number of matches that
-/// agree.
+/// Whether a transform fits about as well as the best; each comes with the number of matches that agree.
 pub(super) fn is_rival(other: (&Agreement, usize), best: (&Agreement, usize)) -> bool {
     let matched = (1 + other.1) as f64 >= RIVAL_AGREEING * (1 + best.1) as f64;
     matched && other.0.fit() > RIVAL_FIT * best.0.fit()

@@ -7,9 +7,8 @@ use snake_geometry::Vector;
 /// A motion with a smaller rotation part is named a translation. Unit: length of the rotation part. Set by hand.
 const NO_ROTATION: f64 = 0.1;
 
-/// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation"; empty
-/// without any. The columns are orthonormal: a rotation about the overlap's middle, scaled to
-/// lengths by its extent, and then a translation.
+/// The motions in words, such as "translation along (1.00, 0.00, 0.00), any rotation"; empty without any. The columns
+/// are orthonormal: a rotation about the overlap's middle, scaled to lengths by its extent, and then a translation.
 pub(super) fn names(open: &Matrix6xX<f64>) -> String {
     if open.ncols() == 0 {
         return String::new();

@@ -105,9 +105,8 @@ struct Detail {
     facing: Option<usize>,
 }
 
-/// The shifts along the axes of `frame` after which the details of `places` (the source on the
-/// target) fit the target again. If both sensors would stand at one place, the places with a normal
-/// along an axis are also compared alone.
+/// The shifts along the axes of `frame` after which the details of `places` (the source on the target) fit the target
+/// again. If both sensors would stand at one place, the places with a normal along an axis are also compared alone.
 pub(super) fn shifts(
     places: &[Place],
     target: &FineCloud,

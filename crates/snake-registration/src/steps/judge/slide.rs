@@ -1,5 +1,4 @@
-//! Whether a transform is better than its neighbours along the direction that the overlap fixes
-//! least.
+//! Whether a transform is better than its neighbours along the direction that the overlap fixes least.
 
 use nalgebra::{IsometryMatrix3, Matrix3, Matrix6, Translation3};
 use snake_geometry::in_parallel;

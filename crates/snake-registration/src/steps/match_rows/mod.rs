@@ -9,9 +9,8 @@ use snake_core::{Control, Error, Result};
 /// At most `max_matches` matches `[source row, target row]`: rows and their nearest rows in the
 /// other cloud, the most distinctive first.
 ///
-/// Mutual nearest rows come first, then the others, each by rising ratio of the distances to the
-/// nearest and the second nearest row: a match is distinctive if the second nearest row is much
-/// farther.
+/// Mutual nearest rows come first, then the others, each by rising ratio of the distances to the nearest and the
+/// second nearest row: a match is distinctive if the second nearest row is much farther.
 ///
 /// # Errors
 /// [`Error::Input`] when the rows of source and target differ in length; [`Error::Cancelled`] and
@@ -38,8 +37,7 @@ pub fn match_rows(source: &Rows, target: &Rows, max_matches: usize, control: &Co
 /// Both arrays are `(N, dimension)`, flat. Among equally near rows the lowest is the nearest.
 ///
 /// # Errors
-/// [`Error::Input`] when an array's length is not a multiple of `dimension` or it has a number that
-/// is not finite.
+/// [`Error::Input`] when an array's length is not a multiple of `dimension` or it has a number that is not finite.
 pub fn mutual_nearest(source: &[f32], target: &[f32], dimension: usize) -> Result<Vec<[usize; 2]>> {
     let rows = |what, values| {
         Rows::new(values, dimension).map_err(|error| match error {

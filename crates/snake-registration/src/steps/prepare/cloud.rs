@@ -46,10 +46,9 @@ pub struct PreparedCloud {
 }
 
 impl PreparedCloud {
-    /// Prepares one cloud `(N, 3)` with the lengths of others, such as those of a map that is kept.
-    /// `viewpoint` is the sensor's position in the cloud's frame, if it is known. Clouds that are
-    /// registered with each other need different seeds in their options if their keypoints are
-    /// random.
+    /// Prepares one cloud `(N, 3)` with the lengths of others, such as those of a map that is kept. `viewpoint` is
+    /// the sensor's position in the cloud's frame, if it is known. Clouds that are registered with each other need
+    /// different seeds in their options if their keypoints are random.
     ///
     /// # Errors
     /// The errors of [`prepare`](crate::steps::prepare()).
@@ -105,8 +104,7 @@ impl PreparedCloud {
         voxel_size(self.diameter)
     }
 
-    /// Whether most of the cloud's voxels are visible from its sensor; false if the sensor is not
-    /// known.
+    /// Whether most of the cloud's voxels are visible from its sensor; false if the sensor is not known.
     pub(crate) fn is_visible(&self) -> bool {
         let (voxels, distance) = (&self.voxels.voxels.points, self.lengths.inlier_distance);
         self.viewpoint.is_some_and(|viewpoint| viewpoint.sees_most_of(voxels, distance))

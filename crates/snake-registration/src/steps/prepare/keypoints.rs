@@ -10,9 +10,8 @@ use snake_detectors::{Detector, Protocol};
 use snake_geometry::{Point, suppress_to_count};
 
 impl VoxelCloud {
-    /// At most `count` keypoints `(K, 3)` in the cloud's frame, best first, and no more than the
-    /// cloud has points. Only random points depend on the seed. A classical detector is not
-    /// interrupted.
+    /// At most `count` keypoints `(K, 3)` in the cloud's frame, best first, and no more than the cloud has points.
+    /// Only random points depend on the seed. A classical detector is not interrupted.
     ///
     /// # Errors
     /// [`Error::Input`](snake_core::Error::Input) when a classical detector is used on a single
@@ -40,9 +39,8 @@ impl VoxelCloud {
         }
     }
 
-    /// `count` keypoints `(K, 3)` in the cloud's frame, best first, that are spread over the cloud
-    /// (see [`suppress_to_count`]); fewer if the detector finds fewer. Voxels have no rank: the
-    /// seed decides their order.
+    /// `count` keypoints `(K, 3)` in the cloud's frame, best first, that are spread over the cloud (see
+    /// [`suppress_to_count`]); fewer if the detector finds fewer. Voxels have no rank: the seed decides their order.
     ///
     /// # Errors
     /// The errors of [`VoxelCloud::keypoints`].

@@ -1,5 +1,4 @@
-//! A downsampled cloud with normals, and the field and FPFH that are computed when they are first
-//! needed.
+//! A downsampled cloud with normals, and the field and FPFH that are computed when they are first needed.
 
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
@@ -15,11 +14,10 @@ use snake_geometry::{FinitePoints, Length, Neighbors, Normalization, Normalizati
 /// A cube cannot be rotated within itself, so there are no rotated copies.
 const NORMALIZATION: NormalizationMethod = NormalizationMethod::UnitCube;
 
-/// A cloud downsampled to voxels, with normals. It finds keypoints by every
-/// [`Detector`](crate::Detector) and describes points by every [`Descriptor`](crate::Descriptor).
-/// Intermediate results are computed once and kept. Only
-/// [`Detector::Snake`](crate::Detector::Snake) and [`Descriptor::Field`](crate::Descriptor::Field)
-/// need a model, which [`VoxelCloud::with_model`] adds.
+/// A cloud downsampled to voxels, with normals. It finds keypoints by every [`Detector`](crate::Detector) and
+/// describes points by every [`Descriptor`](crate::Descriptor). Intermediate results are computed once and kept. Only
+/// [`Detector::Snake`](crate::Detector::Snake) and [`Descriptor::Field`](crate::Descriptor::Field) need a model,
+/// which [`VoxelCloud::with_model`] adds.
 pub struct VoxelCloud {
     pub(crate) voxels: Neighbors,
     pub(crate) normals: Vec<Vector>,

@@ -14,10 +14,9 @@ const TOLERANCE: f64 = 1e-5;
 
 /// Refines a rough transform by point-to-plane ICP (Chen and Medioni 1991, linearised).
 ///
-/// Each source point is paired with its nearest target point and moved towards that point's tangent
-/// plane. Pairs beyond the distance of the target's grid are ignored. Directions that the geometry
-/// does not constrain, as on a single plane, do not change. With `gravity`, only rotations about
-/// this axis are allowed.
+/// Each source point is paired with its nearest target point and moved towards that point's tangent plane. Pairs
+/// beyond the distance of the target's grid are ignored. Directions that the geometry does not constrain, as on a
+/// single plane, do not change. With `gravity`, only rotations about this axis are allowed.
 pub(crate) fn one_way_icp(
     source: &[Vector],
     target: &Surface,

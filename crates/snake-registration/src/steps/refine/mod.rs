@@ -212,8 +212,7 @@ fn level(
 /// A transform before ICP, and the candidate after ICP.
 type Refined = (IsometryMatrix3<f64>, Candidate);
 
-/// Sorts candidates best first and drops those that move the points to about the same places as a
-/// better one.
+/// Sorts candidates best first and drops those that move the points to about the same places as a better one.
 fn distinct(mut candidates: Vec<Refined>, points: &[Vector], inlier_distance: f64) -> Vec<Refined> {
     // The sort is stable: the order decides ties.
     candidates.sort_by(|(_, a), (_, b)| b.score().total_cmp(&a.score()));
