@@ -5,7 +5,7 @@ use serde_json::{Map, Value};
 use super::few_voxels;
 use super::network::Networks;
 use crate::Builtin;
-use crate::cloud::{UsedCloud, scene_signs};
+use crate::cloud::{UsedCloud, is_seen_from_within, scene_signs};
 use snake_geometry::{Point, Sensor};
 
 /// Scores within this of 0 are doubtful: the log-odds that a cloud is a scene.
@@ -47,7 +47,7 @@ pub(super) fn by_cloud(cloud: &UsedCloud) -> (Builtin, Option<String>) {
     let score = if cloud.is_sweep() { f64::INFINITY } else { scene_score(cloud.points()) };
     let score = with_sensor(score, || Some(Sensor::find(cloud.points())?.radii_away(cloud.points())));
     // A sweep of a small yard has no points far beyond, and things on flat ground look like an object.
-    let score = if score < 0.0 && cloud.is_seen_from_within() { f64::INFINITY } else { score };
+    let score = if score < 0.0 && is_seen_from_within(cloud.points()) { f64::INFINITY } else { score };
     let (which, kind, named, other) = if score > 0.0 {
         (Builtin::Scenes, "a scene", Builtin::Compact, "one object")
     } else {

@@ -7,6 +7,7 @@ mod sweep;
 
 pub(crate) use self::coordinate_step::CoordinateStep;
 pub use self::scene_signs::{NUM_SIGNS, scene_signs};
+pub(crate) use self::sweep::is_seen_from_within;
 
 use std::sync::OnceLock;
 
@@ -73,11 +74,6 @@ impl<'a> UsedCloud<'a> {
     /// Whether it looks like the sweep of a sensor at its centre.
     pub fn is_sweep(&self) -> bool {
         *self.is_sweep.get_or_init(|| sweep::is_sweep(self.points()))
-    }
-
-    /// Whether it is denser near its sensor, which is found within it.
-    pub(crate) fn is_seen_from_within(&self) -> bool {
-        sweep::is_seen_from_within(self.points())
     }
 
     /// The share of isolated points in the air, such as the floaters of splats; `None` without such a haze.

@@ -18,9 +18,6 @@ const UNEVEN: f64 = 2.2;
 /// So much denser are only sweeps: those of a small yard have 3.2, of streets 5 and more, objects and their views at most 2.7.
 const VERY_UNEVEN: f64 = 3.0;
 
-/// A point itself, and the one nearest to it.
-const TWO: NonZeroUsize = NonZeroUsize::new(2).unwrap();
-
 /// A sensor within this many radii of a cloud's middle saw it from within.
 const WITHIN: f64 = 1.0;
 
@@ -32,8 +29,7 @@ const HEIGHT: f64 = 0.15;
 /// points far beyond. Six of 2033 objects do.
 pub(super) fn is_sweep(points: &[Point]) -> bool {
     let Some(measured) = measured(points) else { return false };
-    let along = |axis: usize| quantile(measured.points.iter().map(|point| point[axis]).collect(), 0.5);
-    let center = Vector::from_fn(|axis, _| along(axis));
+    let center = Vector::from_fn(|axis, _| quantile(measured.points.iter().map(|point| point[axis]).collect(), 0.5));
     let all: Vec<usize> = (0..measured.points.len()).collect();
     let ([least, _, most], _) = eigen(measured.covariance(&all));
     ratio(measured.points.iter().map(|point| (point - center).norm()).collect(), 0.98) > FAR
@@ -42,7 +38,7 @@ pub(super) fn is_sweep(points: &[Point]) -> bool {
 }
 
 /// Whether a cloud is much denser near its sensor, which is found within it.
-pub(super) fn is_seen_from_within(points: &[Point]) -> bool {
+pub(crate) fn is_seen_from_within(points: &[Point]) -> bool {
     measured(points).is_some_and(|measured| unevenness(&measured) > VERY_UNEVEN) && has_sensor_within(points)
 }
 
@@ -53,7 +49,8 @@ fn measured(points: &[Point]) -> Option<Neighbors> {
 }
 
 fn unevenness(measured: &Neighbors) -> f64 {
-    let nearest = |point: &Vector| measured.nearest(point, TWO).last().map_or(0.0, |(_, distance)| *distance);
+    let two = NonZeroUsize::MIN.saturating_add(1);
+    let nearest = |point: &Vector| measured.nearest(point, two).last().map_or(0.0, |(_, distance)| *distance);
     ratio(measured.points.iter().map(nearest).collect(), 0.95)
 }
 

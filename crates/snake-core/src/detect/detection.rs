@@ -39,7 +39,7 @@ impl Detection {
             _ if options.min_confidence.is_none() => "a smaller `nms_radius` may keep more",
             _ => {
                 "few places are found again more often than chance, as on a flat wall: half or twice the `voxel_size` may show \
-                 more, `min_confidence` 0 gives all"
+                 more, `min_confidence` 0 gives all; if it is one object, name the model `compact`"
             }
         };
         let number = match self.keypoints.len() {
