@@ -10,10 +10,10 @@ use snake_geometry::Vector;
 /// apart. Rivals in stairs, ramps and stairwells have up to 0.05, those of correct answers in real rooms 0.075 and more.
 const MAX_CONTRADICTED: f64 = 0.055;
 /// The same limit for sensors at one place, where one pattern of rays coincides point by point.
-/// Traffic has up to 0.25, rooms at rest 0.33 and more.
+/// Traffic has up to 0.25, rooms at rest 0.33 and more. Other repetitions: stairwells have up to 0.27, streets 0.31 and more.
 const STANDING_CONTRADICTED: f64 = 0.28;
-/// The same limit for a repetition: small things differ, and views end elsewhere. Stairwells have up to 0.26, stadiums 0.33.
-const REPETITION_CONTRADICTED: f64 = 0.35;
+/// The same limit for repetitions after such a slide: stadiums have up to 0.33.
+const TIERS_CONTRADICTED: f64 = 0.35;
 /// The limit over all explained places, for shifts of sensors at one place or with a better fit of details. Pillars have up to 0.38.
 const SHIFT_CONTRADICTED: f64 = 0.43;
 /// A mirror image fits better if it leads by this. Unit: share of the places that the winner explains. Mirrored boxes
@@ -59,8 +59,8 @@ impl Rival {
             (Motion::Shift(Shift { is_better: true, .. }), _) | (Motion::Shift(_), true) => {
                 (Measure::OfAll, SHIFT_CONTRADICTED)
             }
-            (Motion::Alike, true) => (Measure::OfTelling, STANDING_CONTRADICTED),
-            (Motion::Repetition, _) => (Measure::OfTelling, REPETITION_CONTRADICTED),
+            (Motion::Repetition, true) => (Measure::OfTelling, TIERS_CONTRADICTED),
+            (Motion::Alike, true) | (Motion::Repetition, false) => (Measure::OfTelling, STANDING_CONTRADICTED),
             (Motion::Shift(_) | Motion::Alike, false) => (Measure::OfTelling, MAX_CONTRADICTED),
         }
     }
